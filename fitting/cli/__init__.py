@@ -1,0 +1,71 @@
+"""The command `vcavity`: fit a measurement, predict one, list materials.
+
+Exit status: 0 it worked (for a fit: it converged and the parameters are identifiable); 1 the fit gives no
+trustworthy answer; 2 bad input, told in one line on standard error; 130 interrupted; 141 nobody reads the
+output.
+"""
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+
+from fitting.cli import arguments
+
+NO_ANSWER, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        argv: the words after `vcavity`; those of the process if None.
+
+    Returns:
+        The exit status.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal without Unicode shows "?" for "±", and no traceback.
+        with suppress(AttributeError, ValueError):
+            stream.reconfigure(errors="replace")  # type: ignore[union-attr]
+    try:
+        status = _run(argv)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _leave_pipe()
+        return BROKEN_PIPE
+    except KeyboardInterrupt:
+        print("vcavity: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except (OSError, ValueError) as error:
+        print(f"vcavity: {arguments.one_line(_described(error))}", file=sys.stderr)
+        return BAD_INPUT
+    return status
+
+
+def _run(argv: Sequence[str] | None) -> int:
+    try:
+        given = arguments.parser().parse_args(argv)
+    except SystemExit as leave:  # --help and --version, which argparse ends so
+        return int(leave.code or 0)
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    # Only the command that runs is imported.
+    return int(importlib.import_module(f"fitting.cli.{given.command}").run(given))
+
+
+def _described(error: OSError | ValueError) -> str:
+    """The message of an error; those of the operating system come with a file and a reason."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    return arguments.in_options(str(error)) or type(error).__name__
+
+
+def _leave_pipe() -> None:
+    """Send what is still buffered nowhere: Python would complain about it when it exits."""
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)

@@ -1,0 +1,220 @@
+"""What was measured: reflectance factors over directions and wavelengths, and where they come from."""
+
+import dataclasses
+from dataclasses import dataclass, field
+from os import PathLike, fspath
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from fitting.readers import native
+
+# Room for the rounding of degrees to radians, far below what any goniometer resolves.
+_ANGLE_SLACK = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """Reflectance factors of one sample, seen from D directions at L wavelengths.
+
+    The arrays are copied to float64 and are read-only. NaN in `reflectance_factor` marks a missing
+    value, which a fit leaves out.
+
+    Args:
+        wavelengths_nm: nm, shape (L,), positive and strictly increasing.
+        polar: view angle from the mean normal, radians, shape (D,), -π/2 to π/2.
+        azimuth: view azimuth, radians, shape (D,), -2π to 2π; 0 across the grooves, π/2 along them.
+        reflectance_factor: fraction (never percent), shape (D, L). Small negative noise is kept as it is.
+        standard_uncertainty: one standard deviation, fraction, shape (D, L), positive wherever a value is
+            present; None if it is not known.
+        illumination: a light of `vcavity_jax`; None stands for the default, `vcavity_jax.Diffuse()`.
+        metadata: the text that came with the file, as written ("comments" holds its free lines). It is
+            for people: a `reflectance_unit: percent` in it has been applied to the arrays already.
+
+    Raises:
+        ValueError: shapes disagree, a wavelength or an angle lies outside its range, a value is infinite,
+            or an uncertainty is not positive.
+    """
+
+    # Plain arrays: __post_init__ checks shapes and values together, and says what is expected.
+    wavelengths_nm: np.ndarray
+    polar: np.ndarray
+    azimuth: np.ndarray
+    reflectance_factor: np.ndarray
+    standard_uncertainty: np.ndarray | None = None
+    illumination: Any = None
+    metadata: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in _ARRAYS:
+            value = getattr(self, name)
+            if value is not None:
+                array = np.array(value, dtype=np.float64)
+                array.setflags(write=False)
+                object.__setattr__(self, name, array)
+        if self.illumination is None:
+            object.__setattr__(self, "illumination", _illumination(None))
+        elif isinstance(self.illumination, str):
+            raise ValueError(
+                f"illumination is the text {self.illumination!r}; "
+                "expected a light such as vcavity_jax.Diffuse()"
+            )
+        self._check_axes()
+        self._check_values()
+
+    def _check_axes(self) -> None:
+        for name in ("wavelengths_nm", "polar", "azimuth"):
+            array = getattr(self, name)
+            if array.ndim != 1 or array.size == 0:
+                raise ValueError(f"{name} has shape {array.shape}; expected one axis with at least one value")
+            _refuse(name, array, ~np.isfinite(array), "expected finite numbers")
+        if self.polar.shape != self.azimuth.shape:
+            raise ValueError(
+                f"polar has shape {self.polar.shape}, azimuth {self.azimuth.shape}; expected the same shape"
+            )
+        wavelengths = self.wavelengths_nm
+        _refuse("wavelengths_nm", wavelengths, wavelengths <= 0, "expected positive numbers")
+        falls = np.diff(wavelengths, prepend=-np.inf) <= 0
+        _refuse("wavelengths_nm", wavelengths, falls, "expected strictly increasing wavelengths")
+        for name, limit, words in (("polar", np.pi / 2, "-π/2 to π/2"), ("azimuth", 2 * np.pi, "-2π to 2π")):
+            array = getattr(self, name)
+            beyond = np.abs(array) > limit + _ANGLE_SLACK
+            _refuse(name, array, beyond, f"expected {words} radians: did you pass degrees?")
+
+    def _check_values(self) -> None:
+        shape = (self.polar.size, self.wavelengths_nm.size)
+        values, uncertainty = self.reflectance_factor, self.standard_uncertainty
+        for name, array in (("reflectance_factor", values), ("standard_uncertainty", uncertainty)):
+            if array is not None and array.shape != shape:
+                raise ValueError(
+                    f"{name} has shape {array.shape}; expected {shape}: one row per direction, "
+                    "one column per wavelength"
+                )
+        _refuse("reflectance_factor", values, np.isinf(values), "expected finite numbers, or NaN if missing")
+        if uncertainty is not None:
+            # A missing value needs no uncertainty, but infinity is wrong anywhere.
+            bad = ~(uncertainty > 0) & ~np.isnan(values) | np.isinf(uncertainty)
+            _refuse("standard_uncertainty", uncertainty, bad, "expected finite numbers above zero")
+
+    @classmethod
+    def read(
+        cls,
+        path: str | PathLike[str],
+        *,
+        column: str | None = None,
+        reflectance_unit: str | None = None,
+    ) -> "Measurement":
+        """Read a measurement file; nothing in it is sorted, clipped, filled or guessed.
+
+        Three forms are read: tidy CSV (`wavelength_nm, polar_deg, azimuth_deg, reflectance_factor`,
+        optional `standard_uncertainty`); a spectrum (`wavelength_nm, reflectance_factor`, or two columns
+        of bare numbers); a table of samples (`wavelength_nm` and one column per sample). The last two are
+        one frontal view in diffuse light unless `# key: value` lines say otherwise (`polar_deg`,
+        `azimuth_deg`, `illumination`, `standard_uncertainty`). Wavelength and direction pairs that no row
+        gives are NaN; so are empty cells.
+
+        Args:
+            path: the file, UTF-8 text of at most 256 MB.
+            column: which sample of a table of samples to take.
+            reflectance_unit: "fraction" or "percent", for a file that does not declare its unit.
+
+        Returns:
+            The measurement, with reflectance as a fraction and angles in radians. Directions stand in the
+            order in which they first appear. `standard_uncertainty` is None if the file gives none.
+
+        Raises:
+            OSError: the file is missing, a directory or not readable.
+            ValueError: the file is not as expected. The message is one line: file, line number, what is
+                wrong, what is expected.
+        """
+        contents = native.read(path, column=column, reflectance_unit=reflectance_unit)
+        return cls(
+            wavelengths_nm=contents.wavelengths_nm,
+            polar=contents.polar,
+            azimuth=contents.azimuth,
+            reflectance_factor=contents.reflectance_factor,
+            standard_uncertainty=contents.standard_uncertainty,
+            illumination=_illumination(contents.light),
+            metadata=contents.metadata,
+        )
+
+    def select(self, *, wavelengths_nm: tuple[float, float]) -> "Measurement":
+        """The part of the measurement between two wavelengths, both included.
+
+        Args:
+            wavelengths_nm: lowest and highest wavelength to keep, nm.
+
+        Returns:
+            A measurement with the same directions and fewer wavelengths.
+
+        Raises:
+            ValueError: the limits are in the wrong order or no wavelength lies between them.
+        """
+        low, high = wavelengths_nm
+        keep = (self.wavelengths_nm >= low) & (self.wavelengths_nm <= high)
+        if not keep.any():
+            raise ValueError(
+                f"no wavelength lies within {low:g} to {high:g} nm; expected a range that overlaps "
+                f"{self.wavelengths_nm[0]:g} to {self.wavelengths_nm[-1]:g} nm"
+            )
+        uncertainty = self.standard_uncertainty
+        return dataclasses.replace(
+            self,
+            wavelengths_nm=self.wavelengths_nm[keep],
+            reflectance_factor=self.reflectance_factor[:, keep],
+            standard_uncertainty=None if uncertainty is None else uncertainty[:, keep],
+        )
+
+
+_ARRAYS = ("wavelengths_nm", "polar", "azimuth", "reflectance_factor", "standard_uncertainty")
+
+
+def read_spectrum(
+    path: str | PathLike[str], *, column: str | None = None, reflectance_unit: str | None = None
+) -> tuple[Float64[np.ndarray, " wavelengths"], Float64[np.ndarray, " wavelengths"], dict[str, str]]:
+    """Read the reflectance spectrum of a flat sample (columns `wavelength_nm, reflectance`).
+
+    The file may also be a bare two-column spectrum or a table of samples. An uncertainty in it is
+    checked and not returned.
+
+    Args:
+        path: the file.
+        column: which sample of a table of samples to take.
+        reflectance_unit: "fraction" or "percent", for a file that does not declare its unit.
+
+    Returns:
+        Wavelengths in nm, shape (L,), strictly increasing; reflectance as a fraction, shape (L,); metadata.
+
+    Raises:
+        OSError: the file is missing, a directory or not readable.
+        ValueError: the file is not as expected, has several directions, or lacks a value: a model
+            has no use for a gap, and none is filled here.
+    """
+    contents = native.read(path, column=column, reflectance_unit=reflectance_unit)
+    if contents.polar.size > 1:
+        raise ValueError(f"{fspath(path)}:1: {contents.polar.size} directions; expected one spectrum")
+    reflectance = contents.reflectance_factor[0]
+    if np.isnan(reflectance).any():
+        gap = contents.wavelengths_nm[np.argmax(np.isnan(reflectance))]
+        raise ValueError(
+            f"{fspath(path)}:1: no reflectance at {gap:g} nm; expected a value in every row: "
+            "measure it or delete the row"
+        )
+    return contents.wavelengths_nm, reflectance, contents.metadata
+
+
+def _illumination(light: tuple[Any, Any] | None) -> Any:
+    """The light from (polar, azimuth) in radians; None is diffuse."""
+    # JAX takes half a second to import: whoever only imports this module does not pay for it.
+    import vcavity_jax
+
+    return vcavity_jax.Diffuse() if light is None else vcavity_jax.Directional(*light)
+
+
+def _refuse(name: str, array: np.ndarray, bad: np.ndarray, expected: str) -> None:
+    """Report the first bad entry with its place."""
+    if bad.any():
+        place = tuple(int(i) for i in np.argwhere(bad)[0])
+        where = ", ".join(map(str, place))
+        raise ValueError(f"{name}[{where}] is {array[place]:g}; {expected}")

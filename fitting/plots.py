@@ -1,0 +1,282 @@
+"""Pictures of a fit: the spectra, what is left of them, and the objective along each parameter.
+
+One column of print wide, readable in gray and with any color vision: series differ in lightness, line style
+and marker, not in hue alone. Figures are drawn without pyplot, so no state of the caller is touched.
+"""
+
+import io
+import os
+import secrets
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import matplotlib.style
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+FORMATS = ("png", "pdf", "svg")
+MOST_SERIES = 8
+# More points than this in a series and error bars run into each other.
+MOST_MARKS = 45
+# The 95 % quantile of chi-square with one degree of freedom.
+LEVEL_95 = 3.841
+
+_WIDTH = 3.5  # inches: one column of a journal
+_MARKS = "os^DvP<X"
+_DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1.2, 1, 1.2)))
+_BAND, _ACCENT = "#d9d9d9", "#0072B2"
+_STYLE = {
+    "font.size": 8.0,
+    "axes.labelsize": 8.0,
+    "axes.titlesize": 8.0,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "legend.fontsize": 8.0,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "lines.linewidth": 1.0,
+    "legend.frameon": False,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "pdf.fonttype": 42,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "vcavity",
+}
+
+
+@dataclass(frozen=True)
+class _Series:
+    """One curve: where, what was measured and what the model says, all of the same length."""
+
+    label: str
+    place: np.ndarray
+    measured: np.ndarray
+    uncertainty: np.ndarray | None
+    predicted: np.ndarray
+    residual: np.ndarray
+
+
+def plot_fit(result: Any, path: str | PathLike[str]) -> None:
+    """Draw a fit into a file: data and model, residuals, and the profile of each searched parameter.
+
+    At most eight directions are drawn, evenly chosen, and the figure says so. A measurement at a single
+    wavelength is drawn over the view angle instead. The file is replaced as a whole or not at all, and the
+    same result gives the same bytes.
+
+    Args:
+        result: the `FitResult`.
+        path: the file; its ending, .png, .pdf or .svg, decides the format.
+
+    Raises:
+        OSError: the file cannot be written.
+        ValueError: the ending is none of the three.
+    """
+    target = Path(path)
+    kind = target.suffix.lower().removeprefix(".")
+    if kind not in FORMATS:
+        raise ValueError(f"{path}: the ending is {target.suffix!r}; expected .png, .pdf or .svg")
+    # The caller's matplotlibrc has no say, and nothing of ours stays behind.
+    with matplotlib.style.context(["default", _STYLE]):
+        figure = _draw(result)
+        contents = io.BytesIO()
+        dates: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
+        figure.savefig(contents, format=kind, dpi=300, metadata=dates.get(kind, {}))
+    _replace(target, contents.getvalue())
+
+
+def _replace(path: Path, contents: bytes) -> None:
+    part = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}")
+    try:
+        part.write_bytes(contents)
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _draw(result: Any) -> Figure:
+    profiles = [
+        name for name, (values, chi_square) in result.profiles.items() if np.isfinite(chi_square).sum() > 1
+    ]
+    heights = [2.2, 1.1, *[1.35, 1.35] * len(profiles)]
+    figure = Figure(figsize=(_WIDTH, sum(heights) + 1.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.get_layout_engine().set(h_pad=0.04, w_pad=0.03)  # type: ignore[union-attr]
+    rows = figure.subplots(len(heights), 1, height_ratios=heights).tolist()
+    _draw_spectra(figure, result, rows[0], rows[1])
+    for letter, name, wide, close in zip("cdefghijk", profiles, rows[2::2], rows[3::2], strict=False):
+        _draw_profile(result, name, letter, wide, close)
+    return figure
+
+
+def _draw_spectra(figure: Figure, result: Any, above: Axes, below: Axes) -> None:
+    """Panels (a) and (b)."""
+    series, axis_label, total = _series(result)
+    in_sigma = all(one.uncertainty is not None for one in series)
+    shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.78, len(series)))
+    handles = []
+    thinned = 1
+    for i, one in enumerate(series):
+        every = -(-one.place.size // MOST_MARKS)
+        thinned = max(thinned, every)
+        dash = _DASHES[i % len(_DASHES)] if one.place.size > 1 else "none"
+        look: dict[str, Any] = {"color": shades[i], "zorder": 3 + i}
+        mark = {**look, "marker": _MARKS[i], "markersize": 3.2, "markeredgewidth": 0.7}
+        shown = slice(i % every, None, every)
+        place, measured = one.place[shown], one.measured[shown]
+        bars = None if one.uncertainty is None else one.uncertainty[shown]
+        above.errorbar(
+            place, measured, bars, ls="none", elinewidth=0.6, capsize=0, markerfacecolor="white", **mark
+        )
+        above.plot(one.place, one.predicted, ls=dash, **look)
+        scaled = one.residual if one.uncertainty is None else one.residual / one.uncertainty
+        below.plot(place, scaled[shown], ls="none", markerfacecolor="white", **{**mark, "markersize": 2.6})
+        handles.append(Line2D([], [], ls=dash, markerfacecolor="white", label=one.label, **mark))
+
+    above.set_ylabel("reflectance factor")
+    above.sharex(below)
+    above.tick_params(labelbottom=False)
+    above.set_ylim(bottom=min(0.0, above.get_ylim()[0]))
+    below.axhline(0, color="black", lw=0.6, zorder=1)
+    if in_sigma:
+        below.axhspan(-2, 2, color=_BAND, lw=0, zorder=0)
+        reach = max(3.0, 1.08 * np.nanmax(np.abs(below.dataLim.intervaly)))
+        below.set_ylim(-reach, reach)
+        below.set_ylabel("residual / σ")
+    else:
+        below.set_ylabel("residual")
+    below.set_xlabel(axis_label)
+    marked = "measured" if thinned == 1 else f"measured (one in {thinned})"
+    _title(above, "a", f"points: {marked}, lines: fitted")
+    _title(below, "b", "measured minus fitted" + (" (band: ±2σ)" if in_sigma else ""))
+    figure.align_ylabels([above, below])
+    shown_of_all = f" ({len(series)} of {total} shown)" if total > len(series) else ""
+    columns = min(4, len(handles))
+    figure.legend(
+        handles=handles,
+        loc="outside upper center",
+        ncols=columns,
+        title=_legend_title(result) + shown_of_all,
+        handlelength=2.2,
+        columnspacing=1.0,
+        handletextpad=0.4,
+    )
+
+
+def _series(result: Any) -> tuple[list[_Series], str, int]:
+    """The curves to draw, the label of their axis, and how many there are in all."""
+    m = result.measurement
+    sigma = m.standard_uncertainty
+    polar, azimuth = np.rad2deg(m.polar), np.rad2deg(m.azimuth)
+
+    def cut(label: str, place: np.ndarray, part: Any) -> _Series:
+        return _Series(
+            label,
+            place,
+            m.reflectance_factor[part],
+            None if sigma is None else sigma[part],
+            result.predicted[part],
+            result.residuals[part],
+        )
+
+    if m.wavelengths_nm.size == 1 and m.polar.size > 1:
+        groups = list(dict.fromkeys(azimuth.tolist()))
+        members = [np.flatnonzero(azimuth == group) for group in _chosen(groups)]
+        members = [group[np.argsort(polar[group], kind="stable")] for group in members]
+        series = [cut(_degrees(azimuth[group[0]]), polar[group], (group, 0)) for group in members]
+        return series, "polar angle of the view (deg)", len(groups)
+    one_azimuth = np.ptp(azimuth) < 1e-9
+    series = [
+        cut(
+            _degrees(polar[i]) if one_azimuth else f"{_degrees(polar[i])}, {_degrees(azimuth[i])}",
+            m.wavelengths_nm,
+            i,
+        )
+        for i in _chosen(list(range(polar.size)))
+    ]
+    return series, "wavelength (nm)", polar.size
+
+
+def _chosen(all_of_them: list[Any]) -> list[Any]:
+    """At most eight, evenly spread, the first and the last among them."""
+    places = np.linspace(0, len(all_of_them) - 1, min(MOST_SERIES, len(all_of_them))).round().astype(int)
+    return [all_of_them[i] for i in places]
+
+
+def _legend_title(result: Any) -> str:
+    m = result.measurement
+    if m.wavelengths_nm.size == 1 and m.polar.size > 1:
+        return f"azimuth of the view at {m.wavelengths_nm[0]:g} nm"
+    if np.ptp(m.azimuth) < 1e-9:
+        return f"polar angle of the view at azimuth {_degrees(np.rad2deg(m.azimuth[0]))}"
+    return "view: polar angle, azimuth"
+
+
+def _degrees(value: float) -> str:
+    # Adding 0.0 turns -0.0 into 0.0.
+    return f"{round(float(value), 2) + 0.0:g}°".replace("-", "−")
+
+
+def _title(axes: Axes, letter: str, text: str) -> None:
+    axes.set_title(f"({letter}) {text}", loc="left")
+
+
+def _draw_profile(result: Any, name: str, letter: str, wide: Axes, close: Axes) -> None:
+    """The objective over the whole range, and close to the answer."""
+    estimate = result.estimates[name]
+    values, chi_square = result.profiles[name]
+    scale, unit = (180 / np.pi, "deg") if estimate.unit in ("rad", "deg") else (1.0, "")
+    label = {"angle": "dihedral angle α", "roughness": "roughness m"}.get(name, name)
+    label = f"{label} ({unit})" if unit else label
+    minima = [(minimum.values[name] * scale, minimum.chi_square) for minimum in result.minima]
+    lowest = min([np.nanmin(chi_square), *(chi for _, chi in minima)])
+    place, rise = np.asarray(values) * scale, np.asarray(chi_square) - lowest
+    pieces = [(low * scale, high * scale) for low, high in estimate.interval_95]
+    minima = [(where, chi - lowest) for where, chi in minima]
+    best = (estimate.value * scale, 0.0)
+
+    for axes in (wide, close):
+        for low, high in pieces:
+            axes.axvspan(low, high, color=_BAND, lw=0, zorder=0)
+            for edge in (low, high):
+                axes.axvline(edge, color="gray", lw=0.5, zorder=1)
+        axes.axhline(LEVEL_95, color="black", ls=(0, (4, 2)), lw=0.7, zorder=2)
+        axes.plot(place, rise, color=_ACCENT, zorder=3)
+        others = [one for one in minima if abs(one[0] - best[0]) > 1e-9 * max(1.0, abs(best[0]))]
+        if others:
+            axes.plot(*zip(*others, strict=True), ls="none", marker="^", ms=4.5, mfc="white", mec="black", zorder=5)
+        axes.plot(*best, ls="none", marker="D", ms=4, color="black", zorder=6, clip_on=False)
+        axes.set_ylabel("Δχ²")
+        axes.set_xlabel(label)
+
+    wide.set_yscale("symlog", linthresh=10, linscale=1.0)
+    if estimate.unit == "1" and place.min() > 0 and place.max() > 20 * place.min():
+        wide.set_xscale("log")
+    wide.set_xlim(place.min(), place.max())
+    wide.set_ylim(0, max(20.0, 2 * float(np.nanmax(rise))))
+    low, high = _close_up(best[0], pieces, place)
+    close.set_xlim(low, high)
+    inside = rise[(place >= low) & (place <= high)]
+    close.set_ylim(0, float(np.clip(np.nanmax(inside, initial=0.0), 1.6 * LEVEL_95, 4 * LEVEL_95)))
+    close.annotate(
+        "95 %", (1, LEVEL_95), xycoords=("axes fraction", "data"), xytext=(-2, 1.5),
+        textcoords="offset points", ha="right", va="bottom",
+    )  # fmt: skip
+    _title(wide, letter, "objective; ◆ best, △ other minima")
+    _title(close, letter + "′", "the same, close up; band: 95 % interval")
+
+
+def _close_up(best: float, pieces: list[tuple[float, float]], place: np.ndarray) -> tuple[float, float]:
+    """Limits around the answer and all pieces of its interval, within the range."""
+    low = min([best, *(piece[0] for piece in pieces)])
+    high = max([best, *(piece[1] for piece in pieces)])
+    margin = 0.6 * (high - low)
+    if margin == 0:
+        margin = 0.02 * float(np.ptp(place))
+    return max(low - margin, float(place.min())), min(high + margin, float(place.max()))

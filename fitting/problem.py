@@ -1,0 +1,451 @@
+"""From a scene, a measurement and free parameters to weighted residuals, compiled once per kind of scene.
+
+Gain and offset enter linearly. They are eliminated exactly at every point of the search (variable projection),
+so that only the scene's own parameters are searched. Missing values have weight zero.
+"""
+
+import dataclasses
+import math
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+import vcavity_jax as vc
+from fitting.measurement import Measurement
+from fitting.parameters import Parameter
+
+CHUNK = 32
+"""Parameter vectors per call of the compiled model: few enough to keep wide grooves from waiting for narrow ones."""
+
+MOST_NONLINEAR = 3
+
+
+class Data(NamedTuple):
+    """All numbers that may change without a new compilation.
+
+    Args:
+        values: measured reflectance factors, 0 where missing, shape (D, L).
+        weights: inverse standard uncertainties, 0 where missing, shape (D, L).
+        prior_mean: of the P nonlinear parameters, then gain and offset, shape (P + 2,).
+        prior_weight: inverse standard deviations of the priors, 0 for none, shape (P + 2,).
+        bounds: natural coordinates of the P lower, then the P upper bounds, shape (2, P).
+        step: steps in the natural coordinates at which a polish stops, shape (P,).
+    """
+
+    values: Array
+    weights: Array
+    prior_mean: Array
+    prior_weight: Array
+    bounds: Array
+    step: Array
+
+
+class Evaluation(NamedTuple):
+    """Chi-square with gain and offset eliminated, at n parameter vectors.
+
+    Args:
+        parameters: shape (n, P).
+        chi_square: shape (n,).
+        linear: best gain and offset, shape (n, 2); 1 and 0 where they are not free.
+        variance: their variances at fixed nonlinear parameters, shape (n, 2).
+    """
+
+    parameters: np.ndarray
+    chi_square: np.ndarray
+    linear: np.ndarray
+    variance: np.ndarray
+
+
+def eliminate(
+    target: Float[Array, " rows"], columns: Sequence[Float[Array, " rows"]]
+) -> tuple[Float[Array, " rows"], list[Array], list[Array]]:
+    """Least squares of a target on at most two columns by Gram-Schmidt, differentiable.
+
+    Returns:
+        The residual, the coefficients and their variances. A column that adds nothing to the one before it
+        has the coefficient 0 and an infinite variance.
+    """
+    if not columns:
+        return target, [], []
+    infinite = jnp.asarray(jnp.inf, target.dtype)
+    first = columns[0]
+    norm = first @ first
+    zero = norm == 0
+    inverse = jnp.where(zero, jnp.zeros_like(norm), 1 / jnp.where(zero, jnp.ones_like(norm), norm))
+    projection = inverse * (first @ target)
+    if len(columns) == 1:
+        return target - first * projection, [projection], [jnp.where(zero, infinite, inverse)]
+    shadow = inverse * (first @ columns[1])
+    second = columns[1] - first * shadow
+    rest = second @ second
+    flat = rest <= 1e-13 * (columns[1] @ columns[1])
+    inverse_rest = jnp.where(flat, jnp.zeros_like(rest), 1 / jnp.where(flat, jnp.ones_like(rest), rest))
+    other = inverse_rest * (second @ target)
+    residual = target - first * projection - second * other
+    variances = [
+        jnp.where(zero | (flat & (shadow != 0)), infinite, inverse + shadow * shadow * inverse_rest),
+        jnp.where(flat, infinite, inverse_rest),
+    ]
+    return residual, [projection - shadow * other, other], variances
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A fit, ready to be evaluated.
+
+    Args:
+        scene: with the measurement's view.
+        measurement: what is fitted.
+        nonlinear: the free parameters of the scene.
+        linear: gain, offset, both or none, in this order.
+        is_angle: which nonlinear parameter is the dihedral angle, None if none is.
+        data: the numbers.
+        model: parameters in the scene's units, shape (P,), to reflectance factors, shape (D, L).
+        evaluate_chunk: the compiled ``residuals`` of ``CHUNK`` parameter vectors.
+        cache: compiled programs shared by all problems of this kind.
+    """
+
+    scene: Any
+    measurement: Measurement
+    nonlinear: tuple[Parameter, ...]
+    linear: tuple[Parameter, ...]
+    is_angle: int | None
+    data: Data
+    model: Callable[[Array], Array]
+    residuals: Callable[[Array, Data], tuple[Array, Array, Array]]
+    evaluate_chunk: Callable[[Array, Data], tuple[Array, Array, Array]]
+    cache: dict[str, Any]
+    place: Callable[[Sequence[Any]], Any]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All free parameters, the nonlinear ones first."""
+        return self.nonlinear + self.linear
+
+    @property
+    def linear_slots(self) -> list[int]:
+        """Columns of ``Evaluation.linear`` that are free."""
+        return [("gain", "offset").index(p.role) for p in self.linear]
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Values and priors less free parameters."""
+        used = int(np.sum(np.asarray(self.data.weights) > 0))
+        return used + sum(p.prior is not None for p in self.parameters) - len(self.parameters)
+
+    def with_uncertainty_scaled(self, factor: float) -> "Problem":
+        """The same problem with all standard uncertainties multiplied by a factor; priors stay."""
+        scale = jnp.asarray(factor, self.data.weights.dtype)
+        return dataclasses.replace(self, data=self.data._replace(weights=self.data.weights / scale))
+
+    def evaluate(self, parameters: Float[np.ndarray, "n p"]) -> Evaluation:
+        """Chi-square, gain and offset at many parameter vectors, in the scene's units."""
+        points = np.asarray(parameters, dtype=np.float64).reshape(-1, len(self.nonlinear))
+        if not len(points):
+            return Evaluation(points, np.empty(0), np.empty((0, 2)), np.empty((0, 2)))
+        # Narrow grooves need many reflections, and a chunk waits for its slowest member.
+        order = np.lexsort(points.T[:: -1 if self.is_angle is None else 1])
+        padded = points[np.append(order, np.repeat(order[-1:], -len(order) % CHUNK))]
+        chunks = jnp.asarray(padded, self.data.values.dtype).reshape(-1, CHUNK, points.shape[1])
+        results = [self.evaluate_chunk(chunk, self.data) for chunk in chunks]
+        parts = [np.concatenate([np.asarray(part) for part in column]) for column in zip(*results, strict=True)]
+        back = np.argsort(order)
+        chi_square, linear, variance = (np.asarray(part[: len(order)][back], np.float64) for part in parts)
+        return Evaluation(points, chi_square, linear, variance)
+
+    def fitted_scene(self, values: Sequence[float]) -> Any:
+        """The scene with the nonlinear parameters put in."""
+        dtype = self.data.values.dtype
+        return self.place([jnp.asarray(value, dtype) for value in values])
+
+    def jacobian(
+        self, predicted: Float[np.ndarray, "d l"], slopes: Float[np.ndarray, "p d l"]
+    ) -> Float[np.ndarray, "rows parameters"]:
+        """Derivative of the residuals with respect to all parameters, at unit gain; priors have a row each.
+
+        Args:
+            predicted: the model's reflectance factor without gain and offset.
+            slopes: derivative of the prediction with respect to the nonlinear parameters.
+        """
+        weights = np.asarray(self.data.weights, np.float64)
+        columns = [weights * slope for slope in slopes]
+        columns += [weights * (predicted if p.role == "gain" else 1.0) for p in self.linear]
+        data_rows = np.stack([column.ravel() for column in columns], axis=1)
+        own = [0.0 if p.prior is None else 1 / p.prior[1] for p in self.parameters]
+        return np.concatenate([data_rows, np.diag(own)])
+
+
+def build(
+    scene: Any,
+    measurement: Measurement,
+    parameters: Sequence[Parameter],
+    standard_uncertainty: float | None,
+    tolerance: float,
+) -> Problem:
+    """Check a fit's inputs and make it ready.
+
+    Args:
+        scene: any view; its illumination must be the measurement's.
+        measurement: what is fitted.
+        parameters: one to three of the scene, and gain and offset at will.
+        standard_uncertainty: fraction; takes precedence over the measurement's own; None for that.
+        tolerance: bound on the model's numerical error.
+
+    Raises:
+        ValueError: anything that does not fit together, in one line.
+    """
+    nonlinear, linear = _sorted_parameters(parameters)
+    _check_light(scene.illumination, measurement.illumination)
+    view = vc.View(polar=measurement.polar, azimuth=measurement.azimuth)
+    scene = eqx.tree_at(lambda s: s.view, scene, view)
+    slots = [_slot(scene, parameter) for parameter in nonlinear]
+    for i, slot in enumerate(slots):
+        if slot in slots[:i]:
+            raise ValueError(
+                f"parameters {nonlinear[slots.index(slot)].name!r} and {nonlinear[i].name!r} are the same number "
+                "of the scene; expected each number once"
+            )
+    leaves, tree = jax.tree.flatten(scene)
+
+    def place(values: Sequence[Any]) -> Any:
+        filled = list(leaves)
+        for slot, value in zip(slots, values, strict=True):
+            filled[slot] = value
+        return jax.tree.unflatten(tree, filled)
+
+    for parameter, index in zip(nonlinear, range(len(nonlinear)), strict=True):
+        for bound in (parameter.lower, parameter.upper):
+            inside = [np.asarray(leaves[s]) for s in slots]
+            inside[index] = np.asarray(bound)
+            _recheck(place(inside), f"parameter {parameter.name!r} at its bound: ")
+    is_angle = None
+    if isinstance(scene.surface, vc.VGrooves):
+        angle = next(i for i, leaf in enumerate(leaves) if leaf is scene.surface.angle)
+        is_angle = slots.index(angle) if angle in slots else None
+    data = _data(measurement, nonlinear, linear, standard_uncertainty)
+    model, residuals, evaluate_chunk, cache = _programs(
+        leaves, tree, slots, nonlinear, linear, tolerance, data.values.shape, place
+    )
+    problem = Problem(
+        scene, measurement, nonlinear, linear, is_angle, data, model, residuals, evaluate_chunk, cache, place
+    )
+    if problem.degrees_of_freedom < 0:
+        raise ValueError(
+            f"{int(np.sum(np.asarray(data.weights) > 0))} measured values for {len(parameters)} free parameters; "
+            "expected at least as many values and priors as free parameters"
+        )
+    return problem
+
+
+def _sorted_parameters(
+    parameters: Sequence[Parameter],
+) -> tuple[tuple[Parameter, ...], tuple[Parameter, ...]]:
+    if isinstance(parameters, Parameter) or not all(isinstance(p, Parameter) for p in parameters):
+        raise ValueError("parameters are not a list of Parameter; expected, say, [free.angle(), free.gain()]")
+    names = [p.name for p in parameters]
+    repeated = next((name for name in names if names.count(name) > 1), None)
+    if repeated is not None:
+        raise ValueError(f"parameter {repeated!r} is given twice; expected distinct names")
+    nonlinear = tuple(p for p in parameters if p.role == "scene")
+    linear = tuple(sorted((p for p in parameters if p.role != "scene"), key=lambda p: p.role))
+    if len({p.role for p in linear}) < len(linear):
+        raise ValueError("gain or offset is given twice; expected each at most once")
+    if not nonlinear:
+        raise ValueError("no parameter of the scene is free; expected at least one, say free.angle()")
+    if len(nonlinear) > MOST_NONLINEAR:
+        raise ValueError(
+            f"{len(nonlinear)} parameters of the scene are free ({', '.join(p.name for p in nonlinear)}); "
+            f"expected at most {MOST_NONLINEAR}, because all their range is searched (gain and offset are extra)"
+        )
+    return nonlinear, linear
+
+
+def _check_light(scene: Any, measured: Any) -> None:
+    same = type(scene) is type(measured)
+    if same:
+        pairs = zip(jax.tree.leaves(scene), jax.tree.leaves(measured), strict=True)
+        same = all(np.allclose(np.asarray(a), np.asarray(b), rtol=0, atol=1e-6) for a, b in pairs)
+    if not same:
+        raise ValueError(
+            f"the scene is lit by {_short(scene)}, the measurement by {_short(measured)}; expected the same "
+            "illumination: set it in the scene, or correct the measurement's"
+        )
+
+
+def _short(light: Any) -> str:
+    numbers = ", ".join(f"{float(leaf):.6g}" for leaf in jax.tree.leaves(light))
+    return f"{type(light).__name__}({numbers})"
+
+
+def _slot(scene: Any, parameter: Parameter) -> int:
+    """Which leaf of the scene a parameter is."""
+    assert parameter.where is not None
+    try:
+        target = parameter.where(scene)
+        marked = eqx.tree_at(parameter.where, scene, mark := _Mark())
+    except (AttributeError, ValueError, TypeError, KeyError, IndexError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ValueError(
+            f"parameter {parameter.name!r}: its place is not in this scene of {type(scene.surface).__name__} "
+            f"and {type(scene.material).__name__} ({reason}); expected one number of the scene"
+        ) from None
+    if not eqx.is_array(target):
+        raise ValueError(
+            f"parameter {parameter.name!r}: its place holds a {type(target).__name__}; expected one number"
+        )
+    if target.shape != () or not jnp.issubdtype(target.dtype, jnp.floating):
+        raise ValueError(
+            f"parameter {parameter.name!r}: its place holds an array of shape {target.shape} and type "
+            f"{target.dtype}; expected one real number"
+        )
+    return next(i for i, leaf in enumerate(jax.tree.leaves(marked)) if leaf is mark)
+
+
+class _Mark:
+    """Found again among the leaves of a scene."""
+
+
+def _recheck(node: Any, prefix: str) -> None:
+    """Let the scene's parts check a bound as they check a user's own numbers."""
+    for field in dataclasses.fields(node):
+        part = getattr(node, field.name)
+        if isinstance(part, eqx.Module):
+            _recheck(part, prefix)
+    check = getattr(node, "__check_init__", None)
+    if check is not None:
+        try:
+            check()
+        except ValueError as error:
+            raise ValueError(prefix + str(error)) from None
+
+
+def _data(
+    measurement: Measurement,
+    nonlinear: tuple[Parameter, ...],
+    linear: tuple[Parameter, ...],
+    standard_uncertainty: float | None,
+) -> Data:
+    values = measurement.reflectance_factor
+    present = ~np.isnan(values)
+    if not present.any():
+        raise ValueError("the measurement holds no value (all are NaN); expected at least one")
+    sigma = measurement.standard_uncertainty
+    if standard_uncertainty is not None:
+        if not (np.isscalar(standard_uncertainty) and 0 < standard_uncertainty < math.inf):
+            raise ValueError(
+                f"standard_uncertainty is {standard_uncertainty!r}; expected one positive number, as a fraction"
+            )
+        sigma = np.full(values.shape, float(standard_uncertainty))
+    if sigma is None:
+        sigma = np.full(values.shape, 0.01)  # Only a start: the fit then estimates it.
+    weights = np.where(present, 1 / np.where(present, sigma, 1.0), 0.0)
+    own: dict[str, Parameter] = {p.role: p for p in linear}
+    priors = [p.prior for p in nonlinear] + [own[r].prior if r in own else None for r in ("gain", "offset")]
+    bounds = [[p.natural(p.lower) for p in nonlinear], [p.natural(p.upper) for p in nonlinear]]
+    numbers = (
+        np.where(present, values, 0.0),
+        weights,
+        [0.0 if p is None else p[0] for p in priors],
+        [0.0 if p is None else 1 / p[1] for p in priors],
+        bounds,
+        [p.step_tolerance for p in nonlinear],
+    )
+    return Data(*(jnp.asarray(np.asarray(number), dtype=jnp.result_type(float)) for number in numbers))
+
+
+_COMPILED: OrderedDict[Any, tuple[Any, ...]] = OrderedDict()
+
+
+def _programs(
+    leaves: list[Any],
+    tree: Any,
+    slots: list[int],
+    nonlinear: tuple[Parameter, ...],
+    linear: tuple[Parameter, ...],
+    tolerance: float,
+    shape: tuple[int, ...],
+    place: Callable[[Sequence[Any]], Any],
+) -> tuple[Any, ...]:
+    """The model, its residuals and what is compiled of them, kept for the next fit of the same kind.
+
+    The known parts of the scene are compiled in, because the model picks cheaper paths for them.
+    """
+    known = tuple(
+        None if i in slots else (np.asarray(leaf).tobytes(), np.shape(leaf), str(np.asarray(leaf).dtype))
+        for i, leaf in enumerate(leaves)
+    )
+    roles = tuple(p.role for p in linear)
+    dtype = jnp.result_type(float)
+    key = (tree, known, tuple(slots), tuple(p.scale for p in nonlinear), roles, tolerance, shape, str(dtype))
+    if key in _COMPILED:
+        _COMPILED.move_to_end(key)
+        return _COMPILED[key]
+
+    def model(values: Array) -> Array:
+        factor = vc.reflectance_factor(place([values[i] for i in range(len(slots))]), tolerance)
+        return jnp.broadcast_to(factor if factor.ndim == 2 else factor[:, None], shape)
+
+    _check_wavelengths(place, nonlinear, tolerance, shape)
+
+    def residuals(values: Array, data: Data) -> tuple[Array, Array, Array]:
+        count = len(slots)
+        free = data.prior_weight[:count] * (data.prior_mean[:count] - values)
+        return _project(model(values), free, data, roles)
+
+    def one(values: Array, data: Data) -> tuple[Array, Array, Array]:
+        residual, linear_values, variance = residuals(values, data)
+        return residual @ residual, linear_values, variance
+
+    chunk = jax.jit(jax.vmap(one, in_axes=(0, None)))
+    _COMPILED[key] = (model, residuals, chunk, {})
+    while len(_COMPILED) > 8:
+        _COMPILED.popitem(last=False)
+    return _COMPILED[key]
+
+
+def _project(
+    predicted: Array, prior_residuals: Array, data: Data, roles: tuple[str, ...]
+) -> tuple[Array, Array, Array]:
+    """Weighted residuals after the best gain and offset, these two, and their conditional variances."""
+    zero, one = jnp.zeros((), predicted.dtype), jnp.ones((), predicted.dtype)
+    gain_prior, offset_prior = data.prior_weight[-2], data.prior_weight[-1]
+    target = (data.weights * data.values).ravel()
+    shining = (data.weights * predicted).ravel()
+    tail = jnp.stack([data.prior_mean[-2] * gain_prior, data.prior_mean[-1] * offset_prior])
+    columns = []
+    if "gain" in roles:
+        columns.append(jnp.concatenate([shining, jnp.stack([gain_prior, zero])]))
+    else:
+        target = target - shining
+    if "offset" in roles:
+        columns.append(jnp.concatenate([data.weights.ravel(), jnp.stack([zero, offset_prior])]))
+    residual, found, spread = eliminate(jnp.concatenate([target, tail]), columns)
+    values = dict(zip(roles, found, strict=True))
+    variances = dict(zip(roles, spread, strict=True))
+    return (
+        jnp.concatenate([residual, prior_residuals]),
+        jnp.stack([values.get("gain", one), values.get("offset", zero)]),
+        jnp.stack([variances.get("gain", zero), variances.get("offset", zero)]),
+    )
+
+
+def _check_wavelengths(
+    place: Callable[[Sequence[Any]], Any],
+    nonlinear: tuple[Parameter, ...],
+    tolerance: float,
+    shape: tuple[int, ...],
+) -> None:
+    numbers = [jax.ShapeDtypeStruct((), jnp.result_type(float)) for _ in nonlinear]
+    found = jax.eval_shape(lambda *values: vc.reflectance_factor(place(values), tolerance), *numbers).shape[1:]
+    if found not in ((), (shape[1],)):
+        raise ValueError(
+            f"the material has wavelength shape {found}, the measurement {shape[1]} wavelengths; expected () "
+            f"or ({shape[1]},): tabulate the material at the measurement's wavelengths"
+        )

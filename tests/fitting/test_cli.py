@@ -1,0 +1,374 @@
+"""The command line: what it reads, prints and writes, and how it says no."""
+
+import io
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import vcavity_jax as vc
+from fitting import Measurement
+from fitting.cli import BAD_INPUT, BROKEN_PIPE, INTERRUPTED, NO_ANSWER, arguments, main, output
+from vcavity_jax import materials
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "data"
+GOLD, ORANGE, FLAT = (str(EXAMPLES / name) for name in ("gold-v45.csv", "orange-v60.csv", "flat-orange.csv"))
+METALS = str(EXAMPLES / "metals-nasa-tn-d-5353.csv")
+MIRROR = ["--material", "specular", "--index", "Au-Johnson"]
+MATTE = ["--material", "lambertian", "--reflectance"]
+
+
+def refusal(capsys: pytest.CaptureFixture[str], *argv: str) -> str:
+    """What a refused command says: one line on standard error, nothing else, status 2."""
+    assert main(argv) == BAD_INPUT
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.endswith("\n")
+    assert err.count("\n") == 1
+    assert err.startswith("vcavity: ")
+    assert "Traceback" not in err
+    return err.removeprefix("vcavity: ").rstrip("\n")
+
+
+def printed(capsys: pytest.CaptureFixture[str], *argv: str) -> str:
+    assert main(argv) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    return out
+
+
+# The command as a whole.
+
+
+def test_help_needs_only_the_standard_library() -> None:
+    code = (
+        "import sys; from fitting.cli import main; status = main(['--help']);"
+        "heavy = {'jax', 'numpy', 'matplotlib', 'equinox', 'yaml'} & set(sys.modules);"
+        "sys.exit(f'{status} {heavy}' if status or heavy else 0)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.startswith("usage: vcavity")
+
+
+@pytest.mark.parametrize("command", ["fit", "predict", "materials"])
+def test_each_command_has_help(capsys: pytest.CaptureFixture[str], command: str) -> None:
+    assert command in printed(capsys, "--help")
+    assert printed(capsys, command, "--help").startswith(f"usage: vcavity {command}")
+
+
+def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    assert printed(capsys, "--version") == f"vcavity {vc.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        ([], "COMMAND"),
+        (["fat"], "invalid choice: 'fat'"),
+        (["fit"], "MEASUREMENT, --material"),
+        (["fit", GOLD, "--material", "wood"], "'wood'"),
+        (["fit", GOLD, *MIRROR, "--col", "gold"], "unrecognized arguments: --col gold"),
+        (["fit", "two\nlines.csv", *MIRROR], "two lines.csv: no such file"),
+    ],
+)
+def test_bad_usage_is_told_in_one_line(
+    capsys: pytest.CaptureFixture[str], argv: list[str], said: str
+) -> None:
+    assert said in refusal(capsys, *argv)
+
+
+def test_interrupt_leaves_without_a_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(materials, "names", interrupted)
+    assert main(["materials"]) == INTERRUPTED == 130
+    assert capsys.readouterr().err == "vcavity: interrupted\n"
+
+
+def test_reader_that_leaves_is_no_error() -> None:
+    code = "import sys; from fitting.cli import main; sys.exit(main(['materials']))"
+    read, write = os.pipe()
+    os.close(read)  # nobody will ever read
+    try:
+        run = subprocess.run(
+            [sys.executable, "-c", code], stdout=write, stderr=subprocess.PIPE, text=True, check=False
+        )
+    finally:
+        os.close(write)
+    assert (run.returncode, run.stderr) == (BROKEN_PIPE, "")
+
+
+def test_terminal_without_unicode_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", stream)
+    assert main(["materials", "Al-Rakic"]) == 0
+    stream.seek(0)
+    assert "A. D. Raki?" in stream.read()
+
+
+# The words that options take.
+
+
+@pytest.mark.parametrize(
+    ("text", "degrees"), [("45deg", 45), ("45", 45), ("45°", 45), ("1.5707963267948966rad", 90), ("180", 180)]
+)
+def test_angle_is_in_degrees_unless_it_says_radians(text: str, degrees: float) -> None:
+    assert math.isclose(arguments.angle(text), math.radians(degrees), rel_tol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ("400:700:100", [400, 500, 600, 700]),
+        ("0.1:0.3:0.1", [0.1, 0.2, 0.3]),
+        ("450,550,650.5", [450, 550, 650.5]),
+        ("550", [550]),
+        ("550:550:1", [550, 550]),
+    ],
+)
+def test_wavelengths(text: str, values: list[float]) -> None:
+    if len(set(values)) < len(values):
+        values = values[:1]
+    assert arguments.grid(text) == values
+
+
+BAD_WORDS = {
+    "--angle": ["", "deg", "0", "-10", "181deg", "4rad", "x", "nan", "45grad"],
+    "--roughness": ["-1", "inf", "rough"],
+    "--wavelengths": ["", "700:400:10", "400:700", "400:700:7", "400:700:0", "-5", "5,4", "5,5", "1:9e9:1e-3"],
+    "--polar": ["91", "0,0", "0,,1", "-0,0", "a"],
+    "--azimuth": ["361", "90,90"],
+    "--illumination": ["sun", "directional", "directional:45", "directional:95,0", "directional:a,b"],
+    "--tolerance": ["0", "-1e-8", "2", "small"],
+}
+
+
+@pytest.mark.parametrize(("option", "text"), [(name, text) for name in BAD_WORDS for text in BAD_WORDS[name]])
+def test_bad_word_names_its_option(capsys: pytest.CaptureFixture[str], option: str, text: str) -> None:
+    said = refusal(capsys, "predict", *MATTE, "0.5", "--angle", "45", "--wavelengths", "500", option, text)
+    assert said.startswith(f"argument {option}: ")
+    assert "expected" in said
+
+
+BAD_FIT_WORDS = {
+    "--fix": ["angle", "angle=", "angle=0", "gain=1", "roughness=-1"],
+    "--angle-range": ["10", "175:10", "0:90", "10:200", "a:b", "1:2:3"],
+    "--roughness-range": ["0:1", "2:1"],
+    "--wavelengths": ["800:390", "390"],
+    "--uncertainty": ["0", "-0.1", "2", "nan"],
+    "--reflectance-unit": ["permille"],
+    "--free": ["index"],
+    "--polarization": ["none"],
+}
+
+
+@pytest.mark.parametrize(
+    ("option", "text"), [(name, text) for name in BAD_FIT_WORDS for text in BAD_FIT_WORDS[name]]
+)
+def test_bad_word_of_fit_names_its_option(
+    capsys: pytest.CaptureFixture[str], option: str, text: str
+) -> None:
+    said = refusal(capsys, "fit", GOLD, *MIRROR, option, text)
+    assert said.startswith(f"argument {option}: ")
+    assert "expected" in said or "choose from" in said
+
+
+# Materials.
+
+
+def test_materials_lists_every_table(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = printed(capsys, "materials").splitlines()
+    assert [line.split()[0] for line in lines] == list(materials.names())
+    gold = next(line for line in lines if line.startswith("Au-Johnson"))
+    assert "187.9 to    1937 nm" in gold
+    assert gold.endswith(materials.reference("Au-Johnson"))
+    assert printed(capsys, "materials", "Au-Johnson").split() == gold.split()
+
+
+@pytest.mark.parametrize("name", ["Au-Johnson", "PMMA-Sultanova"])
+def test_table_reads_back_as_it_was(capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str) -> None:
+    path = tmp_path / "index.csv"
+    path.write_text(printed(capsys, "materials", name, "--wavelengths", "450:700:12.5"), encoding="utf-8")
+    wavelengths = np.arange(450, 700.1, 12.5)
+    expected = materials.refractive_index(name, wavelengths)
+    np.testing.assert_array_equal(materials.read_index(path, wavelengths), expected)
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        (["Au"], "did you mean Au-Johnson or Au-McPeak? 'vcavity materials' lists them all"),
+        (["Au-Johnson", "--wavelengths", "5000"], "outside the table's range, 187.9 nm to 1937 nm"),
+        (["--wavelengths", "500"], "needs the NAME"),
+    ],
+)
+def test_materials_refuses(capsys: pytest.CaptureFixture[str], argv: list[str], said: str) -> None:
+    assert said in refusal(capsys, "materials", *argv)
+
+
+# Predictions.
+
+
+def predicted(capsys: pytest.CaptureFixture[str], folder: Path, *argv: str) -> Measurement:
+    path = folder / "predicted.csv"
+    path.write_text(printed(capsys, "predict", *argv), encoding="utf-8")
+    return Measurement.read(path)
+
+
+def test_prediction_reads_back_equal(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    options = ["--angle", "50deg", *MIRROR, "--wavelengths", "400:700:50"]
+    m = predicted(capsys, tmp_path, *options, "--polar", "-30.1,0,60", "--azimuth", "0,90")
+    wavelengths = np.arange(400.0, 701.0, 50.0)
+    polar, azimuth = np.deg2rad([-30.1, 0, 60] * 2), np.deg2rad([0.0] * 3 + [90.0] * 3)
+    scene = vc.Scene(
+        vc.VGrooves(np.deg2rad(50.0)),
+        vc.Specular(materials.refractive_index("Au-Johnson", wavelengths)),
+        vc.Diffuse(),
+        vc.View(polar, azimuth),
+    )
+    np.testing.assert_array_equal(m.wavelengths_nm, wavelengths)
+    np.testing.assert_array_equal(m.polar, polar)
+    np.testing.assert_array_equal(m.azimuth, azimuth)
+    np.testing.assert_array_equal(m.reflectance_factor, vc.reflectance_factor(scene))
+    assert isinstance(m.illumination, vc.Diffuse)
+    assert m.metadata["title"] == "v-grooves, angle 50 deg, specular, index Au-Johnson"
+
+
+def test_prediction_under_directional_light(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    options = ["--angle", "90deg", *MATTE, "0.5", "--wavelengths", "500,600", "--tolerance", "1e-4"]
+    m = predicted(capsys, tmp_path, *options, "--illumination", "directional:-45,10")
+    light = vc.Directional(*np.deg2rad([-45.0, 10.0]))
+    scene = vc.Scene(vc.VGrooves(np.pi / 2), vc.Lambertian([0.5, 0.5]), light, vc.View([0.0], [0.0]))
+    np.testing.assert_array_equal(m.reflectance_factor, vc.reflectance_factor(scene, tolerance=1e-4))
+    assert (m.illumination.polar, m.illumination.azimuth) == (light.polar, light.azimuth)
+
+
+def test_prediction_of_random_grooves(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    options = ["--surface", "beckmann", "--roughness", "0.3", "--tolerance", "1e-3", "--wavelengths", "500"]
+    m = predicted(capsys, tmp_path, *options, *MATTE, "0.5")
+    scene = vc.Scene(vc.BeckmannGrooves(0.3), vc.Lambertian([0.5]), vc.Diffuse(), vc.View([0.0], [0.0]))
+    np.testing.assert_array_equal(m.reflectance_factor, vc.reflectance_factor(scene, tolerance=1e-3))
+
+
+# A flat surface is cheap: its reflectance factor is that of the material.
+PLANE = ["--angle", "180deg", "--wavelengths", "450,550"]
+
+
+@pytest.mark.parametrize("text", ["0.2+3j", "0.2+3i", ".2+3.0e0j", "+0.2+3j", "index.csv"])
+def test_index_as_number_or_file(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("index.csv").write_text("wavelength_nm,n,k\n400,0.2,3\n600,0.2,3\n", encoding="utf-8")
+    m = predicted(capsys, tmp_path, *PLANE, "--material", "specular", "--index", text)
+    index = 0.2 + 3j
+    np.testing.assert_allclose(m.reflectance_factor, abs((index - 1) / (index + 1)) ** 2, atol=1e-8)
+
+
+@pytest.mark.parametrize("polarization", ["full", "unpolarized", "separate"])
+def test_polarization_reaches_the_model(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, polarization: str
+) -> None:
+    options = ["--angle", "50", "--wavelengths", "500", "--polar", "30", "--azimuth", "45"]
+    options += ["--material", "specular", "--index", "1.5"]
+    m = predicted(capsys, tmp_path, *options, "--polarization", polarization)
+    view = vc.View(np.deg2rad([30.0]), np.deg2rad([45.0]))
+    material = vc.Specular(np.array([1.5]), polarization)
+    scene = vc.Scene(vc.VGrooves(np.deg2rad(50.0)), material, vc.Diffuse(), view)
+    np.testing.assert_array_equal(m.reflectance_factor, vc.reflectance_factor(scene))
+
+
+def test_flat_sample_is_used_as_measured_or_resampled(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    flat = tmp_path / "flat.csv"
+    flat.write_text("wavelength_nm,reflectance\n400,0.1\n450,0.3\n500,0.2\n550,0.6\n", encoding="utf-8")
+    m = predicted(capsys, tmp_path, *PLANE, *MATTE, str(flat))
+    np.testing.assert_allclose(m.reflectance_factor, [[0.3, 0.6]], atol=1e-8)
+
+    options = [*PLANE[:2], *MATTE, str(flat), "--wavelengths"]
+    said = refusal(capsys, "predict", *options, "450,525")
+    assert "no reflectance at 525 nm" in said
+    assert "--resample" in said
+    m = predicted(capsys, tmp_path, *options, "450,525", "--resample")
+    np.testing.assert_allclose(m.reflectance_factor, [[0.3, 0.4]], atol=1e-8)
+    said = refusal(capsys, "predict", *options, "450,560", "--resample")
+    assert "560 nm is outside the spectrum's range, 400 nm to 550 nm" in said
+
+
+def test_flat_sample_from_a_table(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    options = ["--angle", "180", "--wavelengths", "330,354", *MATTE, METALS]
+    m = predicted(capsys, tmp_path, *options, "--reflectance-column", "gold")
+    np.testing.assert_allclose(m.reflectance_factor, [[0.314, 0.317]], atol=1e-8)
+    said = refusal(capsys, "predict", *options)
+    assert "expected --reflectance-column with one of: aluminum, copper" in said
+
+
+def test_prediction_is_written_whole_or_not_at_all(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "predicted.csv"
+    argv = ["predict", *PLANE, *MATTE, "0.5", "--output", str(path)]
+    assert printed(capsys, *argv) == ""
+    good = path.read_text(encoding="utf-8")
+    assert "reflectance 0.5" in good
+
+    def full(source: Path, target: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    argv[argv.index("0.5")] = "0.25"
+    assert f"{path}: cannot write (No space left on device)" in refusal(capsys, *argv)
+    assert path.read_text(encoding="utf-8") == good
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_output_follows_links_and_leaves_devices_alone(tmp_path: Path) -> None:
+    target, link = tmp_path / "target", tmp_path / "link"
+    link.symlink_to(target)
+    output.write(link, "text")
+    assert link.is_symlink()
+    assert target.read_text(encoding="utf-8") == "text"
+    output.write(os.devnull, "text")
+    assert not Path(os.devnull).is_file()
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        ([*MATTE, "0.5"], "--surface v-grooves needs --angle"),
+        ([*MATTE, "0.5", "--surface", "beckmann"], "--surface beckmann needs --roughness"),
+        ([*MATTE, "0.5", "--angle", "45", "--roughness", "1"], "--roughness belongs to --surface beckmann"),
+        (["--material", "lambertian", "--angle", "45"], "needs --reflectance"),
+        (["--material", "specular", "--angle", "45"], "needs --index"),
+        ([*MATTE, "0.5", "--angle", "45", "--index", "1.5"], "--index belongs to --material specular"),
+        ([*MIRROR, "--angle", "45", "--reflectance", "1"], "--reflectance belongs to --material lambertian"),
+        ([*MATTE, "50", "--angle", "45"], "--reflectance 50: expected a fraction from 0 to 1: did you pass"),
+        ([*MATTE, "gone.csv", "--angle", "45"], "gone.csv: no such file"),
+        ([*MATTE, str(EXAMPLES), "--angle", "45"], "is a directory"),
+        ([*MIRROR[:3], "Au-Jonson", "--angle", "45"], "did you mean Au-Johnson?"),
+        ([*MIRROR[:3], "gone.yml", "--angle", "45"], "gone.yml: no such file"),
+        ([*MIRROR[:3], "1.5-2j", "--angle", "45"], "--index 1.5-2j: expected n + ik with n > 0 and k ≥ 0"),
+        ([*MIRROR[:3], "0", "--angle", "45"], "--index 0: expected n + ik"),
+        ([*MIRROR, "--angle", "45", "--illumination", "directional:0,0"], "delta function"),
+        ([*MATTE, "0.5", "--angle", "45", "--output", str(EXAMPLES)], "is a directory"),
+        ([*MATTE, "0.5", "--angle", "45", "--output", "/gone/a.csv"], "/gone/a.csv: cannot write"),
+    ],
+)
+def test_predict_refuses(capsys: pytest.CaptureFixture[str], argv: list[str], said: str) -> None:
+    assert said in refusal(capsys, "predict", *argv, "--wavelengths", "500")
+
+
+def test_predict_refuses_wavelengths_beyond_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    said = refusal(capsys, "predict", "--angle", "45", *MIRROR, "--wavelengths", "500,2000")
+    assert said.startswith("Au-Johnson: wavelength 2000 nm is outside the table's range, 187.9 nm to 1937 nm")

@@ -1,0 +1,121 @@
+"""Mean radiance of a V-groove with diffusing panels, for any light and view, in closed form.
+
+Kernel, symbol and how panels, light and view are put together; the resolvent itself is in ``wiener_hopf``.
+Scenes whose panels are fully lit and fully seen need G alone, one real sum. docs/lambertian.md derives it.
+"""
+
+import dataclasses
+from functools import lru_cache
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Complex, Float
+
+from vcavity_jax import wiener_hopf
+from vcavity_jax.wiener_hopf import Factorization, Resolution, complex_expm1
+
+
+@dataclasses.dataclass(frozen=True)
+class MeanResolution:
+    """Sampling of the real sums for G.
+
+    Args:
+        step: spacing in asinh(2τ).
+        reach: largest asinh(2τ).
+        symbol_step: spacing of the symbol's own sum.
+        symbol_reach: its end.
+    """
+
+    step: float
+    reach: float
+    symbol_step: float
+    symbol_reach: float
+
+
+_OSCILLATING = 8.0
+"""τ beyond which the symbol is summed on a shifted path, where it decays instead of oscillating."""
+
+
+@lru_cache(maxsize=64)
+def _mean_nodes(resolution: MeanResolution) -> tuple[np.ndarray, np.ndarray, int, np.ndarray, np.ndarray]:
+    x = np.arange(int(np.ceil(resolution.reach / resolution.step)) + 1) * resolution.step
+    tau, weight = np.sinh(x) / 2, 2 * resolution.step / (np.pi * np.cosh(x))
+    w = np.arange(int(np.ceil(resolution.symbol_reach / resolution.symbol_step)) + 1) * resolution.symbol_step
+    symbol_weight = np.full(len(w), resolution.symbol_step)
+    weight[0], symbol_weight[0] = weight[0] / 2, symbol_weight[0] / 2
+    return tau, weight, int(np.sum(tau <= _OSCILLATING)), w, symbol_weight
+
+
+def mean_response(
+    angle: Float[Array, ""], kappa: Float[Array, " kappa"], resolution: MeanResolution
+) -> Float[Array, " kappa"]:
+    """G(α, κ) = ⟨1, (1 - κK)⁻¹ 1⟩ = exp(-(1/π) ∫ ln(1 - κ k̂(τ)) / (τ² + 1/4) dτ), τ from 0 to ∞.
+
+    All terms are positive, so the relative accuracy depends neither on 1 - κ nor on the angle.
+
+    Args:
+        angle: dihedral angle, radians.
+        kappa: -1 to 1, shape (K,).
+        resolution: see ``resolution.mean_resolution``.
+    """
+    tau_nodes, weight_nodes, split, w_nodes, wide = _mean_nodes(resolution)
+    dtype = kappa.dtype
+    tau, weight = jnp.asarray(tau_nodes, dtype), jnp.asarray(weight_nodes, dtype)
+    s = jnp.sin(angle / 2)
+    squared_cosine = jnp.cos(angle / 2) ** 2
+    sinh = s * jnp.asarray(np.sinh(w_nodes), dtype)
+    root = jnp.sqrt(1 + sinh * sinh)
+    measure = squared_cosine * jnp.asarray(wide / np.cosh(w_nodes) ** 2, dtype) / root
+    t = 2 * jnp.arcsinh(sinh)
+    smooth = s * s + jnp.sum(measure * sinh * sinh / (1 + root))
+    slow = smooth + 2 * jnp.sin(tau[:split, None] * t / 2) ** 2 @ measure
+    parts = [slow]
+    if split < len(tau_nodes):
+        z = w_nodes + 0.25j * np.pi
+        complex_dtype = jnp.result_type(lax.complex(s, s))
+        shifted = s.astype(complex_dtype) * jnp.asarray(np.sinh(z), complex_dtype)
+        root = jnp.sqrt(1 + shifted * shifted)
+        density = jnp.asarray(wide / np.cosh(z) ** 2, complex_dtype) / root
+        t_complex = 2 * jnp.log(shifted + root)
+        phase = tau[split:, None] * t_complex.real
+        wave = jnp.exp(-tau[split:, None] * t_complex.imag)
+        decaying = (wave * jnp.cos(phase)) @ density.real - (wave * jnp.sin(phase)) @ density.imag
+        parts.append(1 - squared_cosine * decaying)
+    complement = jnp.concatenate(parts)
+    return jnp.exp(-(weight @ jnp.log((1 - kappa) + kappa * complement[:, None])))
+
+
+def symbol_complement(angle: Float[Array, ""], resolution: Resolution) -> Complex[Array, " inner"]:
+    """1 - k̂(τ) on the inner part of the contour.
+
+    k̂ is the Fourier transform of k(t) = (sin²α/2) / (2 cosh t - 2 cos α)^(3/2), taken along a path that turns
+    with the contour, so that nothing oscillates.
+    """
+    grid = wiener_hopf.contour(resolution)
+    tilt, end = wiener_hopf._SYMBOL_TILT, wiener_hopf._SYMBOL_END
+    nodes = np.arcsinh(end / min(resolution.smallest_angle, 1.2) / np.cos(tilt)) / resolution.step
+    x = np.arange(int(np.ceil(nodes)) + 1) * resolution.step + 1j * tilt
+    shape, slope = np.sinh(x), resolution.step * np.cosh(x)
+    slope[0] /= 2
+    # The integral does not depend on the path, so neither does its derivative: the path may stay fixed.
+    width = lax.stop_gradient(jnp.minimum(angle, 1.2))
+    dtype = jnp.result_type(lax.complex(width, width))
+    t = width.astype(dtype) * jnp.asarray(shape, dtype)
+    roots = jnp.sqrt(-complex_expm1(-t.real, angle - t.imag)) * jnp.sqrt(-complex_expm1(-t.real, -angle - t.imag))
+    kernel = jnp.exp(-1.5 * t) / roots**3 * (jnp.sin(angle) ** 2 / 2).astype(dtype)
+    measure = kernel * width.astype(dtype) * jnp.asarray(slope, dtype)
+    tau = jnp.asarray(grid.tau[: grid.inner], dtype)
+    forward = 1j * tau[:, None] * t
+    backward = -1j * tau[:, None] * t.conj()
+    # Far out the kernel is nothing, but sinh overflows where the path is made for much narrower grooves.
+    quarter = jnp.sinh(jnp.where(t.real < 2 * end, t, jnp.zeros_like(t)) / 4)
+    smooth = jnp.sin(angle / 2) ** 2 + 4 * jnp.sum(measure * quarter * quarter).real
+    moved = complex_expm1(forward.real, forward.imag) @ measure
+    moved += complex_expm1(backward.real, backward.imag) @ measure.conj()
+    return smooth.astype(dtype) - moved
+
+
+def factorize(angle: Float[Array, ""], kappa: Float[Array, " kappa"], resolution: Resolution) -> Factorization:
+    """(1 - κK)⁻¹ of the groove, for each κ from -1 to 1."""
+    return wiener_hopf.factorize(symbol_complement(angle, resolution), kappa, resolution)

@@ -1,0 +1,249 @@
+"""What a user composes: a surface, a material, an illumination and a view.
+
+Every part is a pytree whose physical parameters are traced leaves; tables are computed from them inside the
+evaluation, never stored. Angles are radians. The conventions are those of docs/conventions.md: the fold lies
+along x, the grooves repeat along y, z is the mean normal, and a direction (polar θ, azimuth φ) is
+e = (sin θ sin φ, sin θ cos φ, cos θ), so that φ = 0 looks across the grooves.
+"""
+
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, Inexact
+
+Polarization = Literal["full", "unpolarized", "separate"]
+POLARIZATIONS: tuple[Polarization, ...] = ("full", "unpolarized", "separate")
+
+
+def _real(value: ArrayLike) -> Array:
+    """Turn a number into an array of JAX's float type: a bare Python float would recompile for each value."""
+    return jnp.asarray(value, dtype=jnp.result_type(float)) if _is_plain(value) else jnp.asarray(value)
+
+
+def _index(value: ArrayLike) -> Array:
+    """The same for a refractive index: a real one stays real (a dielectric), a complex one complex."""
+    if not _is_plain(value):
+        return jnp.asarray(value)
+    return jnp.asarray(value, dtype=jnp.result_type(complex if np.iscomplexobj(value) else float))
+
+
+def _is_plain(value: Any) -> bool:
+    return not isinstance(value, jax.Array) or not jnp.issubdtype(value.dtype, jnp.inexact)
+
+
+def _concrete(value: Any) -> np.ndarray | None:
+    """The value as a NumPy array, or None while JAX traces it (then it cannot be checked)."""
+    return None if isinstance(value, jax.core.Tracer) or not eqx.is_array_like(value) else np.asarray(value)
+
+
+def _refuse(what: str, value: Any, bad: Any, expected: str, hint: str = "") -> None:
+    """Raise one clear line if any concrete entry of a parameter is bad."""
+    bad = np.asarray(bad)
+    if bad.any():
+        worst = np.asarray(value)[bad].ravel()[0]
+        raise ValueError(f"{worst} is not {what}: expected {expected}{hint}")
+
+
+def _check_direction(polar: Any, azimuth: Any) -> None:
+    for name, angle in (("polar angle", polar), ("azimuth", azimuth)):
+        value = _concrete(angle)
+        if value is not None:
+            limit = np.pi / 2 if name == "polar angle" else 2 * np.pi
+            _refuse(
+                f"{'a' if name[0] == 'p' else 'an'} {name} in radians",
+                value,
+                ~(np.abs(value) <= limit * (1 + 1e-6)),
+                "-π/2 to π/2" if name == "polar angle" else "-2π to 2π",
+                ". Did you pass degrees?",
+            )
+
+
+class VGrooves(eqx.Module):
+    """Parallel V-shaped grooves of one dihedral angle.
+
+    Args:
+        angle: full angle between the panels of a groove, radians, 0 < angle ≤ π; π is the flat surface.
+
+    Raises:
+        ValueError: the angle is known and outside its range.
+    """
+
+    angle: Float[Array, ""] = eqx.field(converter=_real)
+
+    def __check_init__(self) -> None:
+        value = _concrete(self.angle)
+        if value is not None:
+            _refuse(
+                "a dihedral angle in radians",
+                value,
+                ~((value > 0) & (value <= np.pi * (1 + 1e-6))),
+                "0 < angle ≤ π",
+                ". Did you pass degrees?",
+            )
+
+
+class BeckmannGrooves(eqx.Module):
+    """V-grooves whose dihedral angle α is random, with Beckmann-distributed facet slopes.
+
+    With α = π - 2 θ_h and t = tan θ_h, the density of t is (t/m²) exp(-t²/2m²) [SaintPierre2020, eq. 4.43 to
+    4.45]. Renderers use α_b = √2 m.
+
+    Args:
+        roughness: m, without unit, m ≥ 0; 0 is the flat surface.
+
+    Raises:
+        ValueError: the roughness is known and negative or not finite.
+    """
+
+    roughness: Float[Array, ""] = eqx.field(converter=_real)
+
+    def __check_init__(self) -> None:
+        value = _concrete(self.roughness)
+        if value is not None:
+            _refuse("a Beckmann roughness", value, ~((value >= 0) & np.isfinite(value)), "m ≥ 0")
+
+
+class Lambertian(eqx.Module):
+    """Perfectly diffusing panels.
+
+    Args:
+        reflectance: fraction, 0 to 1; one number or one per wavelength, shape () or (L,).
+
+    Raises:
+        ValueError: a known reflectance lies outside 0 to 1.
+    """
+
+    reflectance: Float[Array, "*wavelengths"] = eqx.field(converter=_real)
+
+    def __check_init__(self) -> None:
+        value = _concrete(self.reflectance)
+        if value is not None:
+            _refuse(
+                "a reflectance", value, ~((value >= 0) & (value <= 1)), "0 to 1", ". Did you pass percent?"
+            )
+
+
+class Specular(eqx.Module):
+    """Smooth mirror-like panels: metal, glass, any refractive index against air.
+
+    Args:
+        index: n + ik with k ≥ 0 (time factor exp(-iωt)); one number or one per wavelength, shape () or (L,).
+        polarization: "full" follows the polarization exactly through all reflections; "unpolarized" multiplies
+            unpolarized reflectances; "separate" keeps s and p apart without coupling. The last two are the
+            approximations of [SaintPierre2020, eq. 4.34 to 4.41].
+
+    Raises:
+        ValueError: a known index has k < 0 or n ≤ 0, or the polarization is not one of the three.
+    """
+
+    index: Inexact[Array, "*wavelengths"] = eqx.field(converter=_index)
+    polarization: Polarization = eqx.field(static=True, default="full")
+
+    def __check_init__(self) -> None:
+        if self.polarization not in POLARIZATIONS:
+            raise ValueError(f"{self.polarization!r} is not a polarization: expected one of {POLARIZATIONS}")
+        value = _concrete(self.index)
+        if value is not None:
+            _refuse(
+                "a refractive index",
+                value,
+                ~((value.real > 0) & (value.imag >= 0) & np.isfinite(value)),
+                "n + ik with n > 0 and k ≥ 0",
+                ". Is it tabulated as n - ik? Take the complex conjugate",
+            )
+
+
+class TwoPanels(eqx.Module):
+    """A groove whose two sides differ.
+
+    Args:
+        first: material of the panel at y < 0, which faces a light with θ > 0, φ = 0.
+        second: material of the panel at y > 0.
+        alternating: average over grooves whose sides are swapped.
+    """
+
+    first: Lambertian
+    second: Lambertian
+    alternating: bool = eqx.field(static=True, default=False)
+
+
+class Diffuse(eqx.Module):
+    """Uniform light from the whole hemisphere."""
+
+
+class Directional(eqx.Module):
+    """Parallel light.
+
+    Args:
+        polar: angle from the mean normal, radians, -π/2 to π/2.
+        azimuth: 0 across the grooves, π/2 along them, radians.
+
+    Raises:
+        ValueError: a known angle lies outside its range.
+    """
+
+    polar: Float[Array, ""] = eqx.field(converter=_real, default=0.0)
+    azimuth: Float[Array, ""] = eqx.field(converter=_real, default=0.0)
+
+    def __check_init__(self) -> None:
+        _check_direction(self.polar, self.azimuth)
+
+
+class Mixed(eqx.Module):
+    """Diffuse and parallel light of equal horizontal irradiance, mixed [SaintPierre2020, eq. 3.43].
+
+    Args:
+        diffuse_fraction: share of the diffuse light, 0 to 1.
+        directional: the parallel part.
+
+    Raises:
+        ValueError: a known fraction lies outside 0 to 1.
+    """
+
+    diffuse_fraction: Float[Array, ""] = eqx.field(converter=_real)
+    directional: Directional
+
+    def __check_init__(self) -> None:
+        value = _concrete(self.diffuse_fraction)
+        if value is not None:
+            _refuse("a diffuse fraction", value, ~((value >= 0) & (value <= 1)), "0 to 1")
+
+
+class View(eqx.Module):
+    """Directions of observation; any shape, polar and azimuth broadcast against each other.
+
+    Args:
+        polar: angle from the mean normal, radians, -π/2 to π/2.
+        azimuth: 0 across the grooves, π/2 along them, radians.
+
+    Raises:
+        ValueError: a known angle lies outside its range.
+    """
+
+    polar: Float[Array, "*directions"] = eqx.field(converter=_real, default=0.0)
+    azimuth: Float[Array, "*directions"] = eqx.field(converter=_real, default=0.0)
+
+    def __check_init__(self) -> None:
+        _check_direction(self.polar, self.azimuth)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the directions, ``*directions``."""
+        return jnp.broadcast_shapes(jnp.shape(self.polar), jnp.shape(self.azimuth))
+
+
+Surface = VGrooves | BeckmannGrooves
+Material = Lambertian | Specular | TwoPanels
+Illumination = Diffuse | Directional | Mixed
+
+
+class Scene(eqx.Module):
+    """A grooved surface, what it is made of, how it is lit and from where it is seen."""
+
+    surface: Surface
+    material: Material
+    illumination: Illumination
+    view: View

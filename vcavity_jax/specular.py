@@ -1,0 +1,183 @@
+"""Hemispherical-directional reflectance of a V-groove with mirror-like panels: an exact finite sum.
+
+Unfolded at its panels the groove is a fan of images, and a ray is a straight line through it. Seen from one
+direction each panel shows at most two numbers of reflections, M and M - 1, with shares known in closed form;
+the polarization follows r_s I + κ q qᵀ at each reflection, q being the transverse part of the facet normal.
+Nothing is sampled. docs/specular.md derives it.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Inexact
+
+from vcavity_jax.directions import panel_share
+from vcavity_jax.fresnel import amplitudes, permittivity_contrast, power
+from vcavity_jax.safe import elementwise_forward, safe_divide
+from vcavity_jax.scene import Polarization
+
+Jones = tuple[Inexact[Array, "..."], ...]
+
+
+def reflection_shares(
+    angle: Float[Array, "..."], across: Float[Array, "..."], normal: Float[Array, "..."], side: int
+) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
+    """How often a ray that first meets one panel is reflected: M or M - 1 times, with which shares.
+
+    Args:
+        angle: dihedral angle, radians.
+        across: e_y of the direction.
+        normal: e_z of the direction, ≥ 0.
+        side: +1 for the panel at y < 0, -1 for the other.
+
+    Returns:
+        M (whole numbers, at least 1, without gradient), the aperture's share of M reflections and that of
+        M - 1. The four shares of both sides sum to 1.
+    """
+    section = jnp.arctan2(side * across, jnp.where((across == 0) & (normal == 0), jnp.ones_like(normal), normal))
+    first = angle / 2 + section
+    both = (jnp.pi - first) / angle
+    alone = (jnp.pi - 2 * section) / angle
+    count = lax.stop_gradient(jnp.maximum(jnp.floor(jnp.where(first < angle, both, alone)) + 1, 1))
+    share = panel_share(angle, side * across, normal)
+    steps = (count - 1) * angle / 2
+    length = jnp.sqrt(across**2 + jnp.where(count > 1, normal, jnp.ones_like(normal)) ** 2)
+    fewer = safe_divide(
+        jnp.sin(steps) * jnp.sin(first + steps - jnp.pi / 2) * length,
+        jnp.sin(angle / 2) * jnp.where(count > 1, normal, jnp.ones_like(normal)),
+    )
+    fewer = jnp.where(count > 1, jnp.clip(fewer, 0, share), jnp.zeros_like(fewer))
+    return count, share - fewer, fewer
+
+
+def _reflect(
+    model: Polarization,
+    state: Jones,
+    ordinal: Float[Array, "..."],
+    angle: Float[Array, "..."],
+    along: Float[Array, "..."],
+    across: Float[Array, "..."],
+    normal: Float[Array, "..."],
+    contrast: Inexact[Array, "..."],
+) -> Jones:
+    """One more reflection, the one with the given ordinal, on the state of polarization of a path."""
+    image = (ordinal - 0.5) * angle
+    sine, cosine = jnp.sin(image), jnp.cos(image)
+    incidence = jnp.maximum(across * cosine + normal * sine, 0)
+    r_s, coupling = amplitudes(incidence, contrast)
+    if model != "full":
+        r_p = r_s + coupling * (1 - incidence * incidence).astype(coupling.dtype)
+        if model == "separate":
+            return state[0] * r_s, state[1] * r_p
+        return (state[0] * (power(r_s) + power(r_p)) / 2,)
+    radius = jnp.sqrt(across**2 + normal**2)
+    degenerate = radius == 0
+    scale = 1 / jnp.where(degenerate, jnp.ones_like(radius), radius)
+    q1 = ((normal * cosine - across * sine) * scale).astype(coupling.dtype)
+    q2 = (-along * incidence * scale).astype(coupling.dtype)
+    j11, j12, j21, j22 = state
+    k1, k2 = coupling * q1, coupling * q2
+    t1, t2 = q1 * j11 + q2 * j21, q1 * j12 + q2 * j22
+    return r_s * j11 + k1 * t1, r_s * j12 + k1 * t2, r_s * j21 + k2 * t1, r_s * j22 + k2 * t2
+
+
+def _initial(model: Polarization, contrast: Inexact[Array, "..."], shape: tuple[int, ...]) -> Jones:
+    one, zero = jnp.ones(shape, contrast.dtype), jnp.zeros(shape, contrast.dtype)
+    if model == "full":
+        return one, zero, zero, one
+    return (one, one) if model == "separate" else (one.real,)
+
+
+def _reflectance(model: Polarization, state: Jones) -> Float[Array, "..."]:
+    if model == "unpolarized":
+        return state[0]
+    return sum((power(entry) for entry in state[1:]), start=power(state[0])) / 2
+
+
+def _all_but_last(model: Polarization) -> Any:
+    """The first M - 1 reflections of a path, differentiable in both modes; the loop is as long as needed."""
+
+    def run(count: Array, *physical: Array) -> Jones:
+        geometry, contrast = physical[:4], physical[4] if len(physical) == 5 else lax.complex(*physical[4:])
+        shape = jnp.broadcast_shapes(*(jnp.shape(p) for p in physical))
+        last = jnp.max(count)
+
+        def body(carry: tuple[Array, Jones]) -> tuple[Array, Jones]:
+            ordinal, state = carry
+            live = ordinal < count
+            # A dead path is led through a harmless reflection: its gradient must not meet a 0/0.
+            angle, along, across, normal = geometry
+            calm = (
+                jnp.where(live, angle, jnp.ones_like(angle)),
+                along,
+                jnp.where(live, across, jnp.zeros_like(across)),
+                jnp.where(live, normal, jnp.ones_like(normal)),
+            )
+            following = _reflect(model, state, ordinal, *calm, contrast)
+            kept = tuple(jnp.where(live, new, old) for new, old in zip(following, state, strict=True))
+            return ordinal + 1, kept
+
+        start = (jnp.ones((), count.dtype), _initial(model, contrast, shape))
+        return lax.while_loop(lambda carry: carry[0] < last, body, start)[1]
+
+    return elementwise_forward(run)
+
+
+def _side(
+    model: Polarization,
+    angle: Array,
+    along: Array,
+    across: Array,
+    normal: Array,
+    contrast: Array,
+    side: int,
+) -> Float[Array, "..."]:
+    """What the paths that first meet one panel contribute."""
+    count, share, share_fewer = reflection_shares(angle, across, normal, side)
+    geometry = (angle, along, side * across, normal)
+    # Reflectances are no holomorphic function of the index, amplitudes are: only the latter stay complex.
+    split = model == "unpolarized" and jnp.iscomplexobj(contrast)
+    tail = (contrast.real, contrast.imag) if split else (contrast,)
+    fewer = _all_but_last(model)(count, *geometry, *tail)
+    seen: Bool[Array, ...] = share > 0
+    calm = (
+        jnp.where(seen, angle, jnp.ones_like(angle)),
+        along,
+        jnp.where(seen, side * across, jnp.zeros_like(across)),
+        jnp.where(seen, normal, jnp.ones_like(normal)),
+    )
+    final = _reflect(model, fewer, count, *calm, contrast)
+    return share * _reflectance(model, final) + share_fewer * _reflectance(model, fewer)
+
+
+def hemispherical_directional(
+    angle: Float[Array, "..."],
+    along: Float[Array, "..."],
+    across: Float[Array, "..."],
+    normal: Float[Array, "..."],
+    index: Inexact[Array, "..."],
+    model: Polarization = "full",
+    symmetric: bool = False,
+) -> Float[Array, "..."]:
+    """Hemispherical-directional reflectance, for arguments that broadcast against each other.
+
+    Args:
+        angle: dihedral angle, radians, 0 < angle ≤ π.
+        along: e_x of the direction (along the fold).
+        across: e_y (across the grooves).
+        normal: e_z, ≥ 0.
+        index: n + ik; real only if n ≥ 1.
+        model: treatment of polarization, see ``Specular``.
+        symmetric: e_y is known to be 0 everywhere, so that one side stands for both.
+
+    Returns:
+        Fraction, of the broadcast shape. It is continuous everywhere; its gradient jumps where a number of
+        reflections changes, and there the gradient of one side is returned.
+    """
+    contrast = permittivity_contrast(index)
+    arguments = (model, angle, along, across, normal, contrast)
+    if symmetric:
+        return 2 * _side(*arguments, side=1)
+    return _side(*arguments, side=1) + _side(*arguments, side=-1)

@@ -1,0 +1,208 @@
+"""Radiosity in a groove without a mesh: the resolvent between step functions, in closed form.
+
+In t = -ln(distance from the fold) the radiosity equation of a groove is a convolution on a half line, whose
+kernel has a known symbol k̂(τ). Wiener-Hopf factorization of 1 - κ k̂ gives every mean between two steps as a
+short sum over one complex contour: no panel is divided, no system is solved, no shadow edge is resolved.
+docs/lambertian.md derives the formulas; the letters follow it.
+
+A step is the indicator of the part of a panel beyond a hidden depth y, divided by its length 1 - y, so that a
+mean over a vanishing visible part stays accurate.
+"""
+
+import dataclasses
+from functools import lru_cache
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Complex, Float
+
+FULL = 200.0
+"""-ln of a depth that stands for zero: exp(-FULL/2) is nothing beside any double."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Resolution:
+    """How finely the contour and the path of the symbol are sampled, and how far they reach.
+
+    Args:
+        step: spacing on the contour, and on the path of the symbol.
+        reach: end of the contour; what lies beyond decays as exp(-reach) relative to a rim layer.
+        extent: largest τ times dihedral angle at which the symbol is not negligible, over 0.45.
+        smallest_angle: the smallest dihedral angle that this resolution is made for, radians.
+    """
+
+    step: float
+    reach: float
+    extent: float
+    smallest_angle: float
+
+
+class Contour(NamedTuple):
+    """Half of the contour; the other half is its image under τ → -conj τ, where everything conjugates."""
+
+    tau: np.ndarray
+    weight: np.ndarray
+    inner: int
+    cauchy: np.ndarray
+    cauchy_mirrored: np.ndarray
+
+
+_TILT, _SYMBOL_TILT, _SYMBOL_END = 0.45, 0.9, 30.0
+
+
+@lru_cache(maxsize=64)
+def contour(resolution: Resolution) -> Contour:
+    """The contour τ = sinh(x - 0.45 i)/2, and the Cauchy kernels 1/(i(τ_l + τ_m)), 1/(i(τ_m - conj τ_l))."""
+    x = np.arange(int(np.ceil(resolution.reach / resolution.step)) + 1) * resolution.step - 1j * _TILT
+    tau, weight = np.sinh(x) / 2, resolution.step * np.cosh(x) / 2
+    weight[0] /= 2
+    end = np.arccosh(max(resolution.extent / (0.45 * resolution.smallest_angle), 1.1))
+    inner = min(int(np.ceil(end / resolution.step)), len(tau))
+    return Contour(
+        tau, weight, inner, -1j / (tau[:, None] + tau), -1j / (tau[:, None] - tau.conj())
+    )
+
+
+def complex_expm1(x: Float[Array, "..."], y: Float[Array, "..."]) -> Complex[Array, "..."]:
+    """exp(x + iy) - 1 without cancellation."""
+    half = jnp.sin(y / 2)
+    return lax.complex(jnp.expm1(x) * jnp.cos(y) - 2 * half * half, jnp.exp(x) * jnp.sin(y))
+
+
+def _constant(values: np.ndarray, like: Array) -> Array:
+    return jnp.asarray(values, like.dtype)
+
+
+class Factorization(NamedTuple):
+    """What is known of (1 - κK)⁻¹ for each κ, shapes (contour, κ) or (κ,).
+
+    ``mean`` is G, the mean of the response to uniform light; ``rim`` its value √G at the rim; ``edge`` the
+    weights c of the edge correction, ``whole`` those of the whole line.
+    """
+
+    mean: Float[Array, " kappa"]
+    rim: Float[Array, " kappa"]
+    edge: Complex[Array, "nodes kappa"]
+    whole: Complex[Array, "inner kappa"]
+
+
+def factorize(
+    complement: Complex[Array, " inner"], kappa: Float[Array, " kappa"], resolution: Resolution
+) -> Factorization:
+    """Factor 1 - κ k̂ on the contour.
+
+    Args:
+        complement: 1 - k̂(τ) at the inner nodes of the contour, free of cancellation.
+        kappa: -1 to 1, shape (K,).
+        resolution: of the contour.
+    """
+    grid = contour(resolution)
+    tau, weight = _constant(grid.tau, complement), _constant(grid.weight, complement)
+    cauchy, mirrored = _constant(grid.cauchy, complement), _constant(grid.cauchy_mirrored, complement)
+    inner_tau, inner_weight = tau[: grid.inner], weight[: grid.inner]
+    factor = (1 - kappa).astype(complement.dtype) + kappa.astype(complement.dtype) * complement[:, None]
+    logarithm = jnp.log(factor)
+    weighted = logarithm * inner_weight[:, None]
+    rim = jnp.exp(-jnp.sum(weighted / (inner_tau - 0.5j)[:, None], axis=0).imag / jnp.pi)
+    exponent = (cauchy[:, : grid.inner] @ weighted + mirrored[:, : grid.inner] @ weighted.conj()) / (2 * jnp.pi)
+    exponent = exponent.at[: grid.inner].add(-logarithm)
+    edge = (weight / (2 * jnp.pi * (0.5 + 1j * tau)))[:, None] * complex_expm1(exponent.real, exponent.imag)
+    whole = (inner_weight / (2 * jnp.pi * (0.25 + inner_tau * inner_tau)))[:, None] * (1 - factor) / factor
+    return Factorization(rim * rim, rim, edge, whole)
+
+
+def log_distance(depth: Float[Array, "..."], visible: Float[Array, "..."]) -> Float[Array, "..."]:
+    """-ln y of a hidden depth, from 1 - y where that is the accurate one; FULL for y = 0."""
+    hidden = depth > 0
+    near_rim = visible < 0.5
+    safe = jnp.where(hidden & ~near_rim, depth, jnp.ones_like(depth))
+    from_rim = -jnp.log1p(-jnp.where(hidden & near_rim, visible, jnp.zeros_like(visible)))
+    return jnp.where(hidden, jnp.minimum(jnp.where(near_rim, from_rim, -jnp.log(safe)), FULL), FULL)
+
+
+def _decay(tau: Array, sign: float, distance: Float[Array, ""]) -> Complex[Array, " nodes"]:
+    """exp(-(1/2 ± iτ) a) - 1 over the contour, sign +1 for +."""
+    return complex_expm1(-(0.5 - sign * tau.imag) * distance, -sign * tau.real * distance)
+
+
+def _step(tau: Array, distance: Float[Array, ""], visible: Float[Array, ""]) -> Complex[Array, " nodes"]:
+    """Transform of a step, (1 - y^(1/2 + iτ)) / (1 - y); at the rim (y = 1) its limit 1/2 + iτ."""
+    rim = visible == 0
+    quotient = -_decay(tau, 1.0, distance) / jnp.where(rim, jnp.ones_like(visible), visible).astype(tau.dtype)
+    return jnp.where(rim, 0.5 + 1j * tau, quotient)
+
+
+def step_mean(
+    factors: Factorization, distance: Float[Array, ""], visible: Float[Array, ""], resolution: Resolution
+) -> Float[Array, " kappa"]:
+    """⟨step, (1 - κK)⁻¹ 1⟩: the mean response to uniform light, over the part beyond the hidden depth.
+
+    One single sum. G where nothing is hidden, √G at the rim.
+
+    Args:
+        factors: of the groove.
+        distance: -ln y, see ``log_distance``.
+        visible: 1 - y.
+        resolution: the one of ``factors``.
+    """
+    tau = _constant(contour(resolution).tau, factors.edge)
+    rim = visible == 0
+    growth = complex_expm1((0.5 + tau.imag) * distance, -tau.real * distance)
+    scale = jnp.exp(-distance) / jnp.where(rim, jnp.ones_like(visible), visible)
+    ratio = jnp.where(rim, jnp.ones_like(tau), growth * scale.astype(tau.dtype) / (0.5 - 1j * tau))
+    return factors.mean - 2 * factors.rim * (ratio @ factors.edge).real
+
+
+def edge_field(
+    factors: Factorization, distance: Float[Array, ""], visible: Float[Array, ""], resolution: Resolution
+) -> Complex[Array, "nodes kappa"]:
+    """The edge correction of one step as a function on the contour; pair it with another step's transform."""
+    grid = contour(resolution)
+    tau = _constant(grid.tau, factors.edge)
+    weighted = _step(tau, distance, visible)[:, None] * factors.edge
+    return factors.edge * (
+        _constant(grid.cauchy, factors.edge) @ weighted
+        + _constant(grid.cauchy_mirrored, factors.edge) @ weighted.conj()
+    )
+
+
+def step_step(
+    factors: Factorization,
+    field: Complex[Array, "nodes kappa"],
+    first: tuple[Float[Array, ""], Float[Array, ""]],
+    second: tuple[Float[Array, ""], Float[Array, ""]],
+    resolution: Resolution,
+) -> Float[Array, " kappa"]:
+    """⟨step, (1 - κK)⁻¹ step'⟩, symmetric in the two steps.
+
+    Args:
+        factors: of the groove.
+        field: ``edge_field`` of the first step.
+        first: (-ln y, 1 - y) of the first step.
+        second: the same of the second.
+        resolution: the one of ``factors``.
+    """
+    grid = contour(resolution)
+    tau = _constant(grid.tau, factors.edge)
+    inner = tau[: grid.inner]
+    edge = 2 * (_step(tau, *second) @ field).real
+    order = first[0] >= second[0]
+    deep = tuple(jnp.where(order, a, b) for a, b in zip(first, second, strict=True))
+    near = tuple(jnp.where(order, b, a) for a, b in zip(first, second, strict=True))
+    gap = deep[0] - near[0]
+    passed = jnp.exp(lax.complex(inner.imag * gap - deep[0] / 2, -inner.real * gap))
+    difference = jnp.expm1(-near[0] / 2).astype(tau.dtype) - complex_expm1(
+        inner.imag * near[0], -inner.real * near[0]
+    )
+    rim = near[1] == 0
+    width = jnp.where(rim, jnp.ones_like(near[1]), near[1]).astype(tau.dtype)
+    shifted = jnp.where(rim, -0.5 + 1j * inner, difference / width)
+    line = (_step(inner, *near) + passed * shifted) / _nonzero(deep[1]).astype(tau.dtype)
+    return 1 / _nonzero(deep[1]) + 2 * (line @ factors.whole).real - edge
+
+
+def _nonzero(value: Float[Array, ""]) -> Float[Array, ""]:
+    """A width that may vanish only where the mean itself grows without bound: light and view both grazing."""
+    return jnp.maximum(value, jnp.asarray(float(jnp.finfo(value.dtype).eps) ** 2, value.dtype))
