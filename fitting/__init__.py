@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fitting import free as free
-    from fitting.measurement import Measurement as Measurement, read_spectrum as read_spectrum
+    from fitting.measurement import Measurement as Measurement
+    from fitting.measurement import read_spectrum as read_spectrum
     from fitting.parameters import Parameter as Parameter
-    from fitting.result import Estimate as Estimate, FitResult as FitResult, Minimum as Minimum
+    from fitting.result import Estimate as Estimate
+    from fitting.result import FitResult as FitResult
+    from fitting.result import Minimum as Minimum
     from fitting.solve import fit as fit
 
 _HOMES = {

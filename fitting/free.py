@@ -4,10 +4,10 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from fitting.parameters import Parameter
+from fitting.parameters import Number, Parameter, Prior
 
 
-def angle(lower_deg: float = 5.0, upper_deg: float = 180.0, prior: tuple[float, float] | None = None) -> Parameter:
+def angle(lower_deg: Number = 5.0, upper_deg: Number = 180.0, prior: Prior | None = None) -> Parameter:
     """The dihedral angle of ``VGrooves``.
 
     Args:
@@ -28,7 +28,7 @@ def angle(lower_deg: float = 5.0, upper_deg: float = 180.0, prior: tuple[float, 
     )
 
 
-def roughness(lower: float = 0.01, upper: float = 3.0, prior: tuple[float, float] | None = None) -> Parameter:
+def roughness(lower: Number = 0.01, upper: Number = 3.0, prior: Prior | None = None) -> Parameter:
     """The roughness m of ``BeckmannGrooves``, on a logarithmic scale.
 
     Args:
@@ -42,7 +42,7 @@ def roughness(lower: float = 0.01, upper: float = 3.0, prior: tuple[float, float
     return Parameter("roughness", _roughness, lower, upper, prior=prior, scale="log")
 
 
-def gain(prior: tuple[float, float] | None = (1.0, 0.01)) -> Parameter:
+def gain(prior: Prior | None = (1.0, 0.01)) -> Parameter:
     """The gain of the instrument: predicted = gain × model + offset.
 
     Args:
@@ -54,7 +54,7 @@ def gain(prior: tuple[float, float] | None = (1.0, 0.01)) -> Parameter:
     return Parameter("gain", None, -math.inf, math.inf, prior=prior, role="gain")
 
 
-def offset(prior: tuple[float, float] | None = (0.0, 0.002)) -> Parameter:
+def offset(prior: Prior | None = (0.0, 0.002)) -> Parameter:
     """The offset of the instrument, as a reflectance factor: predicted = gain × model + offset.
 
     Args:
@@ -69,9 +69,9 @@ def offset(prior: tuple[float, float] | None = (0.0, 0.002)) -> Parameter:
 def parameter(
     name: str,
     where: Callable[[Any], Any],
-    lower: float,
-    upper: float,
-    prior: tuple[float, float] | None = None,
+    lower: Number,
+    upper: Number,
+    prior: Prior | None = None,
 ) -> Parameter:
     """Any other single real number in the scene.
 

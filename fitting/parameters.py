@@ -13,6 +13,8 @@ import numpy as np
 
 Role = Literal["scene", "gain", "offset"]
 Scale = Literal["linear", "log"]
+Number = float | int
+Prior = tuple[Number, Number]
 
 
 @dataclass(frozen=True)
@@ -37,9 +39,9 @@ class Parameter:
 
     name: str
     where: Callable[[Any], Any] | None
-    lower: float
-    upper: float
-    prior: tuple[float, float] | None = None
+    lower: Number
+    upper: Number
+    prior: Prior | None = None
     unit: str = "1"
     scale: Scale = "linear"
     role: Role = "scene"
@@ -85,18 +87,19 @@ class Parameter:
 
     def natural(self, value: Any) -> np.ndarray:
         """Coordinate of the search: the value, or its logarithm."""
-        return np.log(value) if self.scale == "log" else np.asarray(value, dtype=np.float64)
+        number = np.asarray(value, dtype=np.float64)
+        return np.asarray(np.log(number)) if self.scale == "log" else number
 
     def from_natural(self, coordinate: Any) -> np.ndarray:
         """The inverse of ``natural``, never outside the bounds by rounding."""
         value = np.exp(coordinate) if self.scale == "log" else np.asarray(coordinate, dtype=np.float64)
-        return np.clip(value, self.lower, self.upper)
+        return np.asarray(np.clip(value, self.lower, self.upper))
 
     def unconstrained(self, value: Any) -> np.ndarray:
-        """The logit of the place between the bounds; a value on a bound is moved inside by 1e-6 of the range."""
+        """The logit of the place between the bounds; a bound is moved inside by 1e-6 of the range."""
         low, high = self.natural(self.lower), self.natural(self.upper)
         share = np.clip((self.natural(value) - low) / (high - low), 1e-6, 1 - 1e-6)
-        return np.log(share / (1 - share))
+        return np.asarray(np.log(share / (1 - share)))
 
     def from_unconstrained(self, coordinate: Any) -> np.ndarray:
         """The inverse of ``unconstrained`` inside the bounds; any real number is allowed."""

@@ -3,6 +3,7 @@
 One column of print wide, readable in gray and with any color vision: series differ in lightness, line style
 and marker, not in hue alone. Figures are drawn without pyplot, so no state of the caller is touched.
 """
+# ruff: noqa: RUF001 (the labels are typeset: Greek letters, a real minus)
 
 import io
 import os
@@ -19,13 +20,15 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator, NullFormatter, SymmetricalLogLocator
+
+from fitting.identifiability import threshold_95
+from fitting.result import FitResult
 
 FORMATS = ("png", "pdf", "svg")
 MOST_SERIES = 8
 # More points than this in a series and error bars run into each other.
 MOST_MARKS = 45
-# The 95 % quantile of chi-square with one degree of freedom.
-LEVEL_95 = 3.841
 
 _WIDTH = 3.5  # inches: one column of a journal
 _MARKS = "os^DvP<X"
@@ -45,6 +48,8 @@ _STYLE = {
     "legend.frameon": False,
     "axes.spines.top": False,
     "axes.spines.right": False,
+    "figure.constrained_layout.h_pad": 0.04,
+    "figure.constrained_layout.w_pad": 0.03,
     "pdf.fonttype": 42,
     "svg.fonttype": "none",
     "svg.hashsalt": "vcavity",
@@ -63,7 +68,7 @@ class _Series:
     residual: np.ndarray
 
 
-def plot_fit(result: Any, path: str | PathLike[str]) -> None:
+def plot_fit(result: FitResult, path: str | PathLike[str]) -> None:
     """Draw a fit into a file: data and model, residuals, and the profile of each searched parameter.
 
     At most eight directions are drawn, evenly chosen, and the figure says so. A measurement at a single
@@ -100,22 +105,24 @@ def _replace(path: Path, contents: bytes) -> None:
         part.unlink(missing_ok=True)
 
 
-def _draw(result: Any) -> Figure:
-    profiles = [
-        name for name, (values, chi_square) in result.profiles.items() if np.isfinite(chi_square).sum() > 1
-    ]
-    heights = [2.2, 1.1, *[1.35, 1.35] * len(profiles)]
+def _draw(result: FitResult) -> Figure:
+    drawn = [name for name, (_, chi_square) in result.profiles.items() if np.isfinite(chi_square).sum() > 1]
+    profiles = [_profile(result, name) for name in drawn]
+    heights = [2.2, 1.1]
+    for profile in profiles:
+        heights += [1.35] * len(profile.ranges)
     figure = Figure(figsize=(_WIDTH, sum(heights) + 1.0), layout="constrained")
     FigureCanvasAgg(figure)
-    figure.get_layout_engine().set(h_pad=0.04, w_pad=0.03)  # type: ignore[union-attr]
     rows = figure.subplots(len(heights), 1, height_ratios=heights).tolist()
     _draw_spectra(figure, result, rows[0], rows[1])
-    for letter, name, wide, close in zip("cdefghijk", profiles, rows[2::2], rows[3::2], strict=False):
-        _draw_profile(result, name, letter, wide, close)
+    below = iter(rows[2:])
+    for letter, profile in zip("cdefghijk", profiles, strict=False):
+        _draw_profile(profile, letter, [next(below) for _ in profile.ranges])
+    figure.align_ylabels(rows)
     return figure
 
 
-def _draw_spectra(figure: Figure, result: Any, above: Axes, below: Axes) -> None:
+def _draw_spectra(figure: Figure, result: FitResult, above: Axes, below: Axes) -> None:
     """Panels (a) and (b)."""
     series, axis_label, total = _series(result)
     in_sigma = all(one.uncertainty is not None for one in series)
@@ -148,6 +155,7 @@ def _draw_spectra(figure: Figure, result: Any, above: Axes, below: Axes) -> None
         below.axhspan(-2, 2, color=_BAND, lw=0, zorder=0)
         reach = max(3.0, 1.08 * np.nanmax(np.abs(below.dataLim.intervaly)))
         below.set_ylim(-reach, reach)
+        below.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 4, 10]))
         below.set_ylabel("residual / σ")
     else:
         below.set_ylabel("residual")
@@ -155,7 +163,6 @@ def _draw_spectra(figure: Figure, result: Any, above: Axes, below: Axes) -> None
     marked = "measured" if thinned == 1 else f"measured (one in {thinned})"
     _title(above, "a", f"points: {marked}, lines: fitted")
     _title(below, "b", "measured minus fitted" + (" (band: ±2σ)" if in_sigma else ""))
-    figure.align_ylabels([above, below])
     shown_of_all = f" ({len(series)} of {total} shown)" if total > len(series) else ""
     columns = min(4, len(handles))
     figure.legend(
@@ -169,7 +176,7 @@ def _draw_spectra(figure: Figure, result: Any, above: Axes, below: Axes) -> None
     )
 
 
-def _series(result: Any) -> tuple[list[_Series], str, int]:
+def _series(result: FitResult) -> tuple[list[_Series], str, int]:
     """The curves to draw, the label of their axis, and how many there are in all."""
     m = result.measurement
     sigma = m.standard_uncertainty
@@ -209,7 +216,7 @@ def _chosen(all_of_them: list[Any]) -> list[Any]:
     return [all_of_them[i] for i in places]
 
 
-def _legend_title(result: Any) -> str:
+def _legend_title(result: FitResult) -> str:
     m = result.measurement
     if m.wavelengths_nm.size == 1 and m.polar.size > 1:
         return f"azimuth of the view at {m.wavelengths_nm[0]:g} nm"
@@ -223,60 +230,114 @@ def _degrees(value: float) -> str:
     return f"{round(float(value), 2) + 0.0:g}°".replace("-", "−")
 
 
+def _plain(value: float, _: Any) -> str:
+    """A power of ten without small raised digits, which print too small to read."""
+    return f"{value:g}" if abs(value) < 1e4 else f"{value:.0e}".replace("e+0", "e").replace("e+", "e")
+
+
 def _title(axes: Axes, letter: str, text: str) -> None:
     axes.set_title(f"({letter}) {text}", loc="left")
 
 
-def _draw_profile(result: Any, name: str, letter: str, wide: Axes, close: Axes) -> None:
-    """The objective over the whole range, and close to the answer."""
+@dataclass(frozen=True)
+class _Profile:
+    """The objective along one parameter, in the unit it is shown in, less its least value."""
+
+    label: str
+    place: np.ndarray
+    rise: np.ndarray
+    best: float
+    others: list[tuple[float, float]]
+    pieces: list[tuple[float, float]]
+    level: float
+    logarithmic: bool
+
+    @property
+    def ranges(self) -> list[tuple[float, float]]:
+        """What to draw: all of it; and around the answer, if that is much narrower."""
+        first, last = float(self.place[0]), float(self.place[-1])
+        low = min([self.best, *(piece[0] for piece in self.pieces)])
+        high = max([self.best, *(piece[1] for piece in self.pieces)])
+        margin = 0.6 * (high - low) or 0.02 * (last - first)
+        close = max(low - margin, first), min(high + margin, last)
+        return [(first, last)] + [close] * (close[1] - close[0] < 0.5 * (last - first))
+
+
+def _profile(result: FitResult, name: str) -> _Profile:
+    """The profile of a parameter; where it has no value, the curve has a gap."""
     estimate = result.estimates[name]
-    values, chi_square = result.profiles[name]
-    scale, unit = (180 / np.pi, "deg") if estimate.unit in ("rad", "deg") else (1.0, "")
+    values, chi_square = (np.asarray(part, dtype=np.float64) for part in result.profiles[name])
+    place = np.asarray(estimate.displayed(values))
+    minima = [(float(estimate.displayed(m.values[name])), m.chi_square) for m in result.minima]
+    lowest = min([float(np.nanmin(chi_square)), *(chi for _, chi in minima)])
+    best = float(estimate.displayed(estimate.value))
     label = {"angle": "dihedral angle α", "roughness": "roughness m"}.get(name, name)
-    label = f"{label} ({unit})" if unit else label
-    minima = [(minimum.values[name] * scale, minimum.chi_square) for minimum in result.minima]
-    lowest = min([np.nanmin(chi_square), *(chi for _, chi in minima)])
-    place, rise = np.asarray(values) * scale, np.asarray(chi_square) - lowest
-    pieces = [(low * scale, high * scale) for low, high in estimate.interval_95]
-    minima = [(where, chi - lowest) for where, chi in minima]
-    best = (estimate.value * scale, 0.0)
+    first, last = float(place[0]), float(place[-1])
+    return _Profile(
+        label=label if estimate.display_unit == "1" else f"{label} ({estimate.display_unit})",
+        place=place,
+        rise=chi_square - lowest,
+        best=best,
+        others=[(at, chi - lowest) for at, chi in minima if abs(at - best) > 1e-9 * max(1.0, abs(best))],
+        pieces=[
+            (max(float(estimate.displayed(low)), first), min(float(estimate.displayed(high)), last))
+            for low, high in estimate.interval_95
+        ],
+        level=threshold_95(result.degrees_of_freedom, result.uncertainty_estimated),
+        logarithmic=estimate.unit == "1" and first > 0 and last > 20 * first,
+    )
 
-    for axes in (wide, close):
-        for low, high in pieces:
-            axes.axvspan(low, high, color=_BAND, lw=0, zorder=0)
-            for edge in (low, high):
+
+def _draw_profile(profile: _Profile, letter: str, panels: list[Axes]) -> None:
+    for i, (axes, (low, high)) in enumerate(zip(panels, profile.ranges, strict=True)):
+        for piece in profile.pieces:
+            axes.axvspan(*piece, color=_BAND, lw=0, zorder=0)
+            for edge in piece:
                 axes.axvline(edge, color="gray", lw=0.5, zorder=1)
-        axes.axhline(LEVEL_95, color="black", ls=(0, (4, 2)), lw=0.7, zorder=2)
-        axes.plot(place, rise, color=_ACCENT, zorder=3)
-        others = [one for one in minima if abs(one[0] - best[0]) > 1e-9 * max(1.0, abs(best[0]))]
-        if others:
-            axes.plot(*zip(*others, strict=True), ls="none", marker="^", ms=4.5, mfc="white", mec="black", zorder=5)
-        axes.plot(*best, ls="none", marker="D", ms=4, color="black", zorder=6, clip_on=False)
+        axes.axhline(profile.level, color="black", ls=(0, (4, 2)), lw=0.7, zorder=2)
+        axes.plot(profile.place, profile.rise, color=_ACCENT, zorder=3)
+        at = [place for place, _ in profile.others]
+        rise = [height for _, height in profile.others]
+        axes.plot(at, rise, ls="none", marker="^", ms=4.5, mfc="white", mec="black", zorder=5)
+        axes.plot(profile.best, 0, ls="none", marker="D", ms=4, color="black", zorder=6, clip_on=False)
         axes.set_ylabel("Δχ²")
-        axes.set_xlabel(label)
+        axes.set_xlabel(profile.label)
+        axes.set_xlim(low, high)
+        inside = profile.rise[(profile.place >= low) & (profile.place <= high)]
+        highest = float(np.nanmax(inside, initial=0.0))
+        if i == 0 and highest > 20 * profile.level:
+            _use_decades(axes, highest)
+        else:
+            most = 20 * profile.level if i == 0 else 4 * profile.level
+            axes.set_ylim(0, float(np.clip(highest, 1.6 * profile.level, most)))
+        if i == 0 and profile.logarithmic:
+            axes.set_xscale("log")
+            axes.xaxis.set_major_formatter(_plain)
+            axes.xaxis.set_minor_formatter(NullFormatter())
+        else:
+            axes.xaxis.set_major_locator(MaxNLocator(6 if high - low > 10 else 4))
+            axes.ticklabel_format(axis="x", useOffset=False)
+    band = "; band: 95 % interval"
+    marks = "◆ best, △ other minima" if profile.others else "◆ best"
+    _title(panels[0], letter, f"objective; {marks}" + band * (len(panels) == 1 and not profile.others))
+    if len(panels) > 1:
+        _title(panels[1], letter + "′", "the same, close up" + band)
+    panels[-1].annotate(
+        "95 %",
+        (1, profile.level),
+        xycoords=("axes fraction", "data"),
+        xytext=(-2, 1.5),
+        textcoords="offset points",
+        ha="right",
+        va="bottom",
+    )
 
-    wide.set_yscale("symlog", linthresh=10, linscale=1.0)
-    if estimate.unit == "1" and place.min() > 0 and place.max() > 20 * place.min():
-        wide.set_xscale("log")
-    wide.set_xlim(place.min(), place.max())
-    wide.set_ylim(0, max(20.0, 2 * float(np.nanmax(rise))))
-    low, high = _close_up(best[0], pieces, place)
-    close.set_xlim(low, high)
-    inside = rise[(place >= low) & (place <= high)]
-    close.set_ylim(0, float(np.clip(np.nanmax(inside, initial=0.0), 1.6 * LEVEL_95, 4 * LEVEL_95)))
-    close.annotate(
-        "95 %", (1, LEVEL_95), xycoords=("axes fraction", "data"), xytext=(-2, 1.5),
-        textcoords="offset points", ha="right", va="bottom",
-    )  # fmt: skip
-    _title(wide, letter, "objective; ◆ best, △ other minima")
-    _title(close, letter + "′", "the same, close up; band: 95 % interval")
 
-
-def _close_up(best: float, pieces: list[tuple[float, float]], place: np.ndarray) -> tuple[float, float]:
-    """Limits around the answer and all pieces of its interval, within the range."""
-    low = min([best, *(piece[0] for piece in pieces)])
-    high = max([best, *(piece[1] for piece in pieces)])
-    margin = 0.6 * (high - low)
-    if margin == 0:
-        margin = 0.02 * float(np.ptp(place))
-    return max(low - margin, float(place.min())), min(high + margin, float(place.max()))
+def _use_decades(axes: Axes, highest: float) -> None:
+    """A vertical axis that is linear up to 10 and logarithmic above."""
+    axes.set_yscale("symlog", linthresh=10, linscale=1.0)
+    decades = SymmetricalLogLocator(base=10, linthresh=10)
+    decades.set_params(numticks=6)
+    axes.yaxis.set_major_locator(decades)
+    axes.yaxis.set_major_formatter(_plain)
+    axes.set_ylim(0, 2 * highest)

@@ -1,12 +1,11 @@
 """From a scene, a measurement and free parameters to weighted residuals, compiled once per kind of scene.
 
-Gain and offset enter linearly. They are eliminated exactly at every point of the search (variable projection),
-so that only the scene's own parameters are searched. Missing values have weight zero.
+Gain and offset enter linearly. They are eliminated exactly at every point of the search (variable
+projection), so that only the scene's own parameters are searched. Missing values have weight zero.
 """
 
 import dataclasses
 import math
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -15,36 +14,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 import vcavity_jax as vc
 from fitting.measurement import Measurement
 from fitting.parameters import Parameter
-
-CHUNK = 32
-"""Parameter vectors per call of the compiled model: few enough to keep wide grooves from waiting for narrow ones."""
+from fitting.programs import CHUNK, Data, Programs, programs_for
 
 MOST_NONLINEAR = 3
-
-
-class Data(NamedTuple):
-    """All numbers that may change without a new compilation.
-
-    Args:
-        values: measured reflectance factors, 0 where missing, shape (D, L).
-        weights: inverse standard uncertainties, 0 where missing, shape (D, L).
-        prior_mean: of the P nonlinear parameters, then gain and offset, shape (P + 2,).
-        prior_weight: inverse standard deviations of the priors, 0 for none, shape (P + 2,).
-        bounds: natural coordinates of the P lower, then the P upper bounds, shape (2, P).
-        step: steps in the natural coordinates at which a polish stops, shape (P,).
-    """
-
-    values: Array
-    weights: Array
-    prior_mean: Array
-    prior_weight: Array
-    bounds: Array
-    step: Array
 
 
 class Evaluation(NamedTuple):
@@ -63,39 +40,6 @@ class Evaluation(NamedTuple):
     variance: np.ndarray
 
 
-def eliminate(
-    target: Float[Array, " rows"], columns: Sequence[Float[Array, " rows"]]
-) -> tuple[Float[Array, " rows"], list[Array], list[Array]]:
-    """Least squares of a target on at most two columns by Gram-Schmidt, differentiable.
-
-    Returns:
-        The residual, the coefficients and their variances. A column that adds nothing to the one before it
-        has the coefficient 0 and an infinite variance.
-    """
-    if not columns:
-        return target, [], []
-    infinite = jnp.asarray(jnp.inf, target.dtype)
-    first = columns[0]
-    norm = first @ first
-    zero = norm == 0
-    inverse = jnp.where(zero, jnp.zeros_like(norm), 1 / jnp.where(zero, jnp.ones_like(norm), norm))
-    projection = inverse * (first @ target)
-    if len(columns) == 1:
-        return target - first * projection, [projection], [jnp.where(zero, infinite, inverse)]
-    shadow = inverse * (first @ columns[1])
-    second = columns[1] - first * shadow
-    rest = second @ second
-    flat = rest <= 1e-13 * (columns[1] @ columns[1])
-    inverse_rest = jnp.where(flat, jnp.zeros_like(rest), 1 / jnp.where(flat, jnp.ones_like(rest), rest))
-    other = inverse_rest * (second @ target)
-    residual = target - first * projection - second * other
-    variances = [
-        jnp.where(zero | (flat & (shadow != 0)), infinite, inverse + shadow * shadow * inverse_rest),
-        jnp.where(flat, infinite, inverse_rest),
-    ]
-    return residual, [projection - shadow * other, other], variances
-
-
 @dataclass(frozen=True, eq=False)
 class Problem:
     """A fit, ready to be evaluated.
@@ -107,9 +51,8 @@ class Problem:
         linear: gain, offset, both or none, in this order.
         is_angle: which nonlinear parameter is the dihedral angle, None if none is.
         data: the numbers.
-        model: parameters in the scene's units, shape (P,), to reflectance factors, shape (D, L).
-        evaluate_chunk: the compiled ``residuals`` of ``CHUNK`` parameter vectors.
-        cache: compiled programs shared by all problems of this kind.
+        programs: the model and what is compiled of it.
+        place: puts the nonlinear parameters into the scene.
     """
 
     scene: Any
@@ -118,10 +61,7 @@ class Problem:
     linear: tuple[Parameter, ...]
     is_angle: int | None
     data: Data
-    model: Callable[[Array], Array]
-    residuals: Callable[[Array, Data], tuple[Array, Array, Array]]
-    evaluate_chunk: Callable[[Array, Data], tuple[Array, Array, Array]]
-    cache: dict[str, Any]
+    programs: Programs
     place: Callable[[Sequence[Any]], Any]
 
     @property
@@ -153,10 +93,13 @@ class Problem:
         # Narrow grooves need many reflections, and a chunk waits for its slowest member.
         order = np.lexsort(points.T[:: -1 if self.is_angle is None else 1])
         padded = points[np.append(order, np.repeat(order[-1:], -len(order) % CHUNK))]
-        chunks = jnp.asarray(padded, self.data.values.dtype).reshape(-1, CHUNK, points.shape[1])
-        results = [self.evaluate_chunk(chunk, self.data) for chunk in chunks]
-        parts = [np.concatenate([np.asarray(part) for part in column]) for column in zip(*results, strict=True)]
-        back = np.argsort(order)
+        # Cut up by NumPy: each slice of a JAX array would be one more small program to compile.
+        chunks = padded.astype(self.data.values.dtype).reshape(-1, CHUNK, points.shape[1])
+        compiled = self.programs.chunk(self.data)
+        results = [compiled(chunk, self.data) for chunk in chunks]
+        columns = zip(*results, strict=True)
+        parts = [np.concatenate([np.asarray(part) for part in column]) for column in columns]
+        back = np.argsort(order, kind="stable")
         chi_square, linear, variance = (np.asarray(part[: len(order)][back], np.float64) for part in parts)
         return Evaluation(points, chi_square, linear, variance)
 
@@ -186,7 +129,7 @@ def build(
     scene: Any,
     measurement: Measurement,
     parameters: Sequence[Parameter],
-    standard_uncertainty: float | None,
+    standard_uncertainty: float | int | None,
     tolerance: float,
 ) -> Problem:
     """Check a fit's inputs and make it ready.
@@ -203,14 +146,14 @@ def build(
     """
     nonlinear, linear = _sorted_parameters(parameters)
     _check_light(scene.illumination, measurement.illumination)
-    view = vc.View(polar=measurement.polar, azimuth=measurement.azimuth)
+    view = vc.View(polar=jnp.asarray(measurement.polar), azimuth=jnp.asarray(measurement.azimuth))
     scene = eqx.tree_at(lambda s: s.view, scene, view)
     slots = [_slot(scene, parameter) for parameter in nonlinear]
     for i, slot in enumerate(slots):
         if slot in slots[:i]:
             raise ValueError(
-                f"parameters {nonlinear[slots.index(slot)].name!r} and {nonlinear[i].name!r} are the same number "
-                "of the scene; expected each number once"
+                f"parameters {nonlinear[slots.index(slot)].name!r} and {nonlinear[i].name!r} are the same "
+                "number of the scene; expected each number once"
             )
     leaves, tree = jax.tree.flatten(scene)
 
@@ -230,16 +173,14 @@ def build(
         angle = next(i for i, leaf in enumerate(leaves) if leaf is scene.surface.angle)
         is_angle = slots.index(angle) if angle in slots else None
     data = _data(measurement, nonlinear, linear, standard_uncertainty)
-    model, residuals, evaluate_chunk, cache = _programs(
-        leaves, tree, slots, nonlinear, linear, tolerance, data.values.shape, place
-    )
-    problem = Problem(
-        scene, measurement, nonlinear, linear, is_angle, data, model, residuals, evaluate_chunk, cache, place
-    )
+    roles = tuple(p.role for p in linear)
+    scales = tuple(p.scale for p in nonlinear)
+    programs = programs_for(scene, slots, scales, roles, tolerance, data.values.shape, place)
+    problem = Problem(scene, measurement, nonlinear, linear, is_angle, data, programs, place)
     if problem.degrees_of_freedom < 0:
         raise ValueError(
-            f"{int(np.sum(np.asarray(data.weights) > 0))} measured values for {len(parameters)} free parameters; "
-            "expected at least as many values and priors as free parameters"
+            f"{int(np.sum(np.asarray(data.weights) > 0))} measured values for {len(parameters)} free "
+            "parameters; expected at least as many values and priors as free parameters"
         )
     return problem
 
@@ -262,7 +203,8 @@ def _sorted_parameters(
     if len(nonlinear) > MOST_NONLINEAR:
         raise ValueError(
             f"{len(nonlinear)} parameters of the scene are free ({', '.join(p.name for p in nonlinear)}); "
-            f"expected at most {MOST_NONLINEAR}, because all their range is searched (gain and offset are extra)"
+            f"expected at most {MOST_NONLINEAR}, because all their range is searched "
+            "(gain and offset are extra)"
         )
     return nonlinear, linear
 
@@ -330,7 +272,7 @@ def _data(
     measurement: Measurement,
     nonlinear: tuple[Parameter, ...],
     linear: tuple[Parameter, ...],
-    standard_uncertainty: float | None,
+    standard_uncertainty: float | int | None,
 ) -> Data:
     values = measurement.reflectance_factor
     present = ~np.isnan(values)
@@ -338,9 +280,10 @@ def _data(
         raise ValueError("the measurement holds no value (all are NaN); expected at least one")
     sigma = measurement.standard_uncertainty
     if standard_uncertainty is not None:
-        if not (np.isscalar(standard_uncertainty) and 0 < standard_uncertainty < math.inf):
+        if not (isinstance(standard_uncertainty, float | int) and 0 < standard_uncertainty < math.inf):
             raise ValueError(
-                f"standard_uncertainty is {standard_uncertainty!r}; expected one positive number, as a fraction"
+                f"standard_uncertainty is {standard_uncertainty!r}; expected one positive number, as a "
+                "fraction"
             )
         sigma = np.full(values.shape, float(standard_uncertainty))
     if sigma is None:
@@ -358,94 +301,3 @@ def _data(
         [p.step_tolerance for p in nonlinear],
     )
     return Data(*(jnp.asarray(np.asarray(number), dtype=jnp.result_type(float)) for number in numbers))
-
-
-_COMPILED: OrderedDict[Any, tuple[Any, ...]] = OrderedDict()
-
-
-def _programs(
-    leaves: list[Any],
-    tree: Any,
-    slots: list[int],
-    nonlinear: tuple[Parameter, ...],
-    linear: tuple[Parameter, ...],
-    tolerance: float,
-    shape: tuple[int, ...],
-    place: Callable[[Sequence[Any]], Any],
-) -> tuple[Any, ...]:
-    """The model, its residuals and what is compiled of them, kept for the next fit of the same kind.
-
-    The known parts of the scene are compiled in, because the model picks cheaper paths for them.
-    """
-    known = tuple(
-        None if i in slots else (np.asarray(leaf).tobytes(), np.shape(leaf), str(np.asarray(leaf).dtype))
-        for i, leaf in enumerate(leaves)
-    )
-    roles = tuple(p.role for p in linear)
-    dtype = jnp.result_type(float)
-    key = (tree, known, tuple(slots), tuple(p.scale for p in nonlinear), roles, tolerance, shape, str(dtype))
-    if key in _COMPILED:
-        _COMPILED.move_to_end(key)
-        return _COMPILED[key]
-
-    def model(values: Array) -> Array:
-        factor = vc.reflectance_factor(place([values[i] for i in range(len(slots))]), tolerance)
-        return jnp.broadcast_to(factor if factor.ndim == 2 else factor[:, None], shape)
-
-    _check_wavelengths(place, nonlinear, tolerance, shape)
-
-    def residuals(values: Array, data: Data) -> tuple[Array, Array, Array]:
-        count = len(slots)
-        free = data.prior_weight[:count] * (data.prior_mean[:count] - values)
-        return _project(model(values), free, data, roles)
-
-    def one(values: Array, data: Data) -> tuple[Array, Array, Array]:
-        residual, linear_values, variance = residuals(values, data)
-        return residual @ residual, linear_values, variance
-
-    chunk = jax.jit(jax.vmap(one, in_axes=(0, None)))
-    _COMPILED[key] = (model, residuals, chunk, {})
-    while len(_COMPILED) > 8:
-        _COMPILED.popitem(last=False)
-    return _COMPILED[key]
-
-
-def _project(
-    predicted: Array, prior_residuals: Array, data: Data, roles: tuple[str, ...]
-) -> tuple[Array, Array, Array]:
-    """Weighted residuals after the best gain and offset, these two, and their conditional variances."""
-    zero, one = jnp.zeros((), predicted.dtype), jnp.ones((), predicted.dtype)
-    gain_prior, offset_prior = data.prior_weight[-2], data.prior_weight[-1]
-    target = (data.weights * data.values).ravel()
-    shining = (data.weights * predicted).ravel()
-    tail = jnp.stack([data.prior_mean[-2] * gain_prior, data.prior_mean[-1] * offset_prior])
-    columns = []
-    if "gain" in roles:
-        columns.append(jnp.concatenate([shining, jnp.stack([gain_prior, zero])]))
-    else:
-        target = target - shining
-    if "offset" in roles:
-        columns.append(jnp.concatenate([data.weights.ravel(), jnp.stack([zero, offset_prior])]))
-    residual, found, spread = eliminate(jnp.concatenate([target, tail]), columns)
-    values = dict(zip(roles, found, strict=True))
-    variances = dict(zip(roles, spread, strict=True))
-    return (
-        jnp.concatenate([residual, prior_residuals]),
-        jnp.stack([values.get("gain", one), values.get("offset", zero)]),
-        jnp.stack([variances.get("gain", zero), variances.get("offset", zero)]),
-    )
-
-
-def _check_wavelengths(
-    place: Callable[[Sequence[Any]], Any],
-    nonlinear: tuple[Parameter, ...],
-    tolerance: float,
-    shape: tuple[int, ...],
-) -> None:
-    numbers = [jax.ShapeDtypeStruct((), jnp.result_type(float)) for _ in nonlinear]
-    found = jax.eval_shape(lambda *values: vc.reflectance_factor(place(values), tolerance), *numbers).shape[1:]
-    if found not in ((), (shape[1],)):
-        raise ValueError(
-            f"the material has wavelength shape {found}, the measurement {shape[1]} wavelengths; expected () "
-            f"or ({shape[1]},): tabulate the material at the measurement's wavelengths"
-        )

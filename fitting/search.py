@@ -7,7 +7,7 @@ model serves them all.
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from fitting.parameters import Parameter
 
@@ -80,7 +80,7 @@ def prominences(cost: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray]:
     return found, depth
 
 
-def distinct_minima(cost: Float[np.ndarray, " n"], most: int) -> Float[np.ndarray, " m"]:
+def distinct_minima(cost: Float[np.ndarray, " n"], most: int) -> Int[np.ndarray, " m"]:
     """Indices of the lowest distinct local minima of a table, best first."""
     found, depth = prominences(cost)
     found = found[depth >= PROMINENCE]

@@ -2,7 +2,10 @@
 
 from vcavity_jax import materials as materials
 from vcavity_jax.kinks import kink_angles as kink_angles
-from vcavity_jax.reflectance import reflectance_factor as reflectance_factor
+from vcavity_jax.reflectance import (
+    radiance_profile as radiance_profile,
+    reflectance_factor as reflectance_factor,
+)
 from vcavity_jax.scene import (
     BeckmannGrooves as BeckmannGrooves,
     Diffuse as Diffuse,

@@ -102,14 +102,16 @@ def symbol_complement(angle: Float[Array, ""], resolution: Resolution) -> Comple
     width = lax.stop_gradient(jnp.minimum(angle, 1.2))
     dtype = jnp.result_type(lax.complex(width, width))
     t = width.astype(dtype) * jnp.asarray(shape, dtype)
+    # A path made for much narrower grooves runs on to where the kernel is nothing but its factors overflow.
+    needed = t.real < 2 * end
+    t = jnp.where(needed, t, jnp.zeros_like(t))
     roots = jnp.sqrt(-complex_expm1(-t.real, angle - t.imag)) * jnp.sqrt(-complex_expm1(-t.real, -angle - t.imag))
     kernel = jnp.exp(-1.5 * t) / roots**3 * (jnp.sin(angle) ** 2 / 2).astype(dtype)
-    measure = kernel * width.astype(dtype) * jnp.asarray(slope, dtype)
+    measure = jnp.where(needed, kernel * width.astype(dtype) * jnp.asarray(slope, dtype), jnp.zeros_like(t))
     tau = jnp.asarray(grid.tau[: grid.inner], dtype)
     forward = 1j * tau[:, None] * t
     backward = -1j * tau[:, None] * t.conj()
-    # Far out the kernel is nothing, but sinh overflows where the path is made for much narrower grooves.
-    quarter = jnp.sinh(jnp.where(t.real < 2 * end, t, jnp.zeros_like(t)) / 4)
+    quarter = jnp.sinh(t / 4)
     smooth = jnp.sin(angle / 2) ** 2 + 4 * jnp.sum(measure * quarter * quarter).real
     moved = complex_expm1(forward.real, forward.imag) @ measure
     moved += complex_expm1(backward.real, backward.imag) @ measure.conj()

@@ -337,6 +337,100 @@ def _directional(
     return scale * (same * even + other * first * second * odd)
 
 
+def radiance_profile(
+    scene: Scene, position: Float[Array, "*positions"] | float, tolerance: float = 1e-8
+) -> Float[Array, "2 *positions_and_wavelengths"]:
+    """Local radiance along both panels of a diffusing groove; it does not depend on the view.
+
+    Args:
+        scene: ``VGrooves`` of ``Lambertian`` or ``TwoPanels``; its view is not used.
+        position: distance from the fold in panel widths, 0 to 1, any shape.
+        tolerance: upper bound on the absolute numerical error for positions above 1e-6; nearer to the fold,
+            but for the fold itself, rounding grows as 1e-16 / √position.
+
+    Returns:
+        First panel (y < 0), then second, in units of the radiance of a flat white diffuser in the same light;
+        shape (2,) + position.shape + wavelength shape.
+
+    Raises:
+        ValueError: the panels are specular, the groove angle is random, or a known position lies outside 0 to 1.
+
+    References:
+        [SaintPierre2020, sections 3.3 to 3.5].
+    """
+    if isinstance(scene.material, Specular) or isinstance(scene.surface, BeckmannGrooves):
+        raise ValueError("a radiance profile needs diffusing panels and one groove angle: Lambertian, VGrooves")
+    position = jnp.asarray(position, jnp.result_type(float))
+    value = _concrete(position)
+    if value is not None and not np.all((value >= 0) & (value <= 1)):
+        raise ValueError(f"{value} is not a position on a panel: expected 0 (fold) to 1 (rim)")
+    plan = dataclasses.replace(
+        _plan(scene, tolerance),
+        step=plan_for.step_resolution(plan_for.check_tolerance(tolerance), None, None),
+    )
+    return _profile(scene, position, plan)
+
+
+@eqx.filter_jit
+def _profile(scene: Scene, position: Array, plan: Plan) -> Array:
+    assert isinstance(scene.surface, VGrooves)
+    panels = _panels(scene.material)
+    wavelength_shape = jnp.broadcast_shapes(*(jnp.shape(p) for p in panels))
+    first, second = (jnp.broadcast_to(p, wavelength_shape).ravel() for p in panels)
+    angle = jnp.minimum(scene.surface.angle, jnp.asarray(jnp.pi, scene.surface.angle.dtype))
+    value = _local(scene.illumination, angle, (first, second), position.ravel(), plan)
+    if isinstance(scene.material, TwoPanels) and scene.material.alternating:
+        swapped = _local(scene.illumination, angle, (second, first), position.ravel(), plan)
+        value = (value + swapped[::-1]) / 2
+    return jnp.reshape(value, (2, *position.shape, *wavelength_shape))
+
+
+def _local(
+    light: Diffuse | Directional | Mixed,
+    angle: Array,
+    reflectances: tuple[Array, Array],
+    position: Array,
+    plan: Plan,
+) -> Float[Array, "2 p w"]:
+    """Radiance at some positions, for two panels in general."""
+    if isinstance(light, Mixed):
+        diffuse = _local(Diffuse(), angle, reflectances, position, plan)
+        directional = _local(light.directional, angle, reflectances, position, plan)
+        return light.diffuse_fraction * diffuse + (1 - light.diffuse_fraction) * directional
+    first, second = reflectances
+    parities = _Parities(first, second, alike=False, one_parity=False)
+    factors = lambertian.factorize(angle, parities.kappa, plan.step)
+    everywhere = jnp.zeros((), position.dtype), jnp.ones((), position.dtype)
+    lit = jnp.full((), 0.5, position.dtype)
+    depth, visible = everywhere
+    if isinstance(light, Directional):
+        _, across, normal = components(light.polar, light.azimuth)
+        depth, visible = hidden_depth(angle, across, normal)
+        lit = panel_share(angle, across, normal)
+    step = wiener_hopf.log_distance(depth, visible), visible
+    field = wiener_hopf.edge_field(factors, *step, plan.step)
+    safe = jnp.clip(position, 1e-14, 1)
+
+    def at(y: Array) -> Float[Array, " kappa"]:
+        return wiener_hopf.step_response(factors, field, step, -jnp.log(y), plan.step)
+
+    fold = 1 / (1 - parities.kappa * jnp.cos(angle / 2) ** 2)
+    response = jnp.where((position == 0)[:, None], jnp.where(depth > 0, jnp.zeros_like(fold), fold), jax.vmap(at)(safe))
+    even, odd = parities.split(response)
+    if isinstance(light, Diffuse):
+        return jnp.stack(
+            [
+                1 - (1 - first) * even - first * (1 - second) * odd,
+                1 - (1 - second) * even - second * (1 - first) * odd,
+            ]
+        )
+    scale = 2 * jnp.sin(angle / 2)
+    other = first * second * odd
+    return scale * jnp.stack(
+        [lit * first * even + (1 - lit) * other, (1 - lit) * second * even + lit * other]
+    )
+
+
 def _diffusing_average(
     m: Array,
     reflectances: tuple[Array, Array],

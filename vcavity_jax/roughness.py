@@ -34,6 +34,11 @@ def panel_nodes(
     return u, half * jnp.asarray(weight, start.dtype) * u * jnp.exp(-u * u / 2)
 
 
+def tail_weight(cutoff: float) -> float:
+    """Share of the facets that are steeper than the cutoff, exp(-U²/2)."""
+    return float(np.exp(-cutoff * cutoff / 2))
+
+
 def groove_angle(roughness: Float[Array, "..."], u: Float[Array, "..."]) -> Float[Array, "..."]:
     """α = 2 atan2(1, m u), the dihedral angle of a groove whose facets have slope m u."""
     return 2 * jnp.arctan2(jnp.ones_like(u), roughness * u)
@@ -102,10 +107,16 @@ def specular_average(
             start = lax.dynamic_index_in_dim(ends, jnp.minimum(first, panels), axis=-1, keepdims=False)
             return (first < panels) & (jnp.min(start) < cutoff)
 
-        return lax.while_loop(unfinished, body, (jnp.asarray(0), jnp.zeros(shape, ends.dtype)))[1]
+        # What the cutoff leaves out counts as its end: so the weights sum to 1.
+        end = groove_angle(roughness, jnp.asarray(cutoff, roughness.dtype))
+        tail = tail_weight(cutoff) * hemispherical_directional(
+            end, along, across, normal, index, model, symmetric
+        )
+        start = jnp.broadcast_to(tail, shape)
+        return lax.while_loop(unfinished, body, (jnp.asarray(0), start))[1]
 
     parts = (index.real, index.imag) if jnp.iscomplexobj(index) else (index,)
-    return elementwise_forward(average)(roughness, along, across, normal, *parts)
+    return elementwise_forward(average, nested=True)(roughness, along, across, normal, *parts)
 
 
 def lambertian_average(
@@ -140,10 +151,10 @@ def lambertian_average(
     pieces = [(jnp.minimum(marks, onset), fully_seen)]
     if masked is not None:
         pieces.append((jnp.maximum(marks, onset), masked))
-    total = None
+    last = fully_seen if masked is None else masked
+    total = tail_weight(cutoff) * last(groove_angle(roughness, jnp.asarray(cutoff, m.dtype)))
     for ends, function in pieces:
         u, weight = (jnp.ravel(a) for a in panel_nodes(ends[:-1], ends[1:], order))
         values = lax.map(function, groove_angle(roughness, u), batch_size=len(u) if masked is None else order)
-        part = weight @ values
-        total = part if total is None else total + part
+        total = total + weight @ values
     return total

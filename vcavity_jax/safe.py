@@ -24,17 +24,19 @@ def safe_divide(numerator: Inexact[Array, "..."], denominator: Inexact[Array, ".
     return jnp.where(zero, jnp.zeros_like(quotient), quotient)
 
 
-def elementwise_forward(function: Callable[..., Any]) -> Callable[..., Any]:
+def elementwise_forward(function: Callable[..., Any], nested: bool = False) -> Callable[..., Any]:
     """Let reverse mode differentiate an elementwise function that contains a loop of unknown length.
 
     JAX differentiates such loops forward only. The derivative of an elementwise function is one partial
-    derivative per argument and element, so the rule runs the loop once more with one tangent per perturbed
-    argument and multiplies: linear in the tangents, hence transposable. Unperturbed arguments cost nothing.
+    derivative per argument and element, so the rule runs the loop with one tangent per perturbed argument and
+    multiplies: linear in the tangents, hence transposable. Unperturbed arguments cost nothing.
 
     Args:
         function: of arrays that broadcast against each other, to a pytree of arrays of the broadcast shape,
             each element of which depends on the matching elements of the arguments alone. Complex arguments
             must enter holomorphically.
+        nested: run the tangents one after the other instead of side by side. It costs more, but XLA for the
+            CPU (jaxlib 0.10) miscompiles side-by-side tangents of a loop within a loop.
     """
 
     @jax.custom_jvp
@@ -48,21 +50,29 @@ def elementwise_forward(function: Callable[..., Any]) -> Callable[..., Any]:
             out = function(*primals)
             return out, jax.tree.map(jnp.zeros_like, out)
 
-        def along(chosen: Array) -> tuple[Any, Any]:
-            units = [
-                jnp.full_like(p, 0) + jnp.asarray(perturbed.index(i) == chosen, p.dtype)
-                if i in perturbed
-                else jnp.zeros_like(p)
-                for i, p in enumerate(primals)
-            ]
-            return jax.jvp(function, primals, tuple(units))
+        def along(chosen: Array | int) -> tuple[Any, Any]:
+            def varied(*arguments: Array) -> Any:
+                return function(*_replaced(primals, perturbed, arguments))
 
-        out, partials = jax.vmap(along, out_axes=(None, 0))(jnp.arange(len(perturbed)))
+            units = tuple(jnp.full_like(primals[i], chosen == slot) for slot, i in enumerate(perturbed))
+            return jax.jvp(varied, tuple(primals[i] for i in perturbed), units)
 
-        def contract(partial_derivatives: Array) -> Array:
-            terms = [partial_derivatives[slot] * tangents[i].astype(partial_derivatives.dtype) for slot, i in enumerate(perturbed)]
+        if nested or len(perturbed) == 1:
+            out, first = along(0)
+            columns = [first, *(along(slot)[1] for slot in range(1, len(perturbed)))]
+        else:
+            out, stacked = jax.vmap(along, out_axes=(None, 0))(jnp.arange(len(perturbed)))
+            columns = [jax.tree.map(lambda a, slot=slot: a[slot], stacked) for slot in range(len(perturbed))]
+
+        def contract(*partials: Array) -> Array:
+            terms = [p * jnp.asarray(tangents[i], p.dtype) for p, i in zip(partials, perturbed, strict=True)]
             return sum(terms[1:], start=terms[0])
 
-        return out, jax.tree.map(contract, partials)
+        return out, jax.tree.map(contract, *columns)
 
     return wrapped
+
+
+def _replaced(values: tuple[Array, ...], positions: list[int], new: tuple[Array, ...]) -> tuple[Array, ...]:
+    replaced = dict(zip(positions, new, strict=True))
+    return tuple(replaced.get(i, value) for i, value in enumerate(values))

@@ -203,6 +203,39 @@ def step_step(
     return 1 / _nonzero(deep[1]) + 2 * (line @ factors.whole).real - edge
 
 
+def step_response(
+    factors: Factorization,
+    field: Complex[Array, "nodes kappa"],
+    step: tuple[Float[Array, ""], Float[Array, ""]],
+    distance: Float[Array, ""],
+    resolution: Resolution,
+) -> Float[Array, " kappa"]:
+    """(1 - κK)⁻¹ step at one distance from the fold; accurate to about 1e-16/√y for y → 0.
+
+    Args:
+        factors: of the groove.
+        field: ``edge_field`` of the step.
+        step: (-ln, 1 - ·) of its hidden depth.
+        distance: -ln y of the position, y > 0.
+        resolution: the one of ``factors``.
+    """
+    grid = contour(resolution)
+    tau = _constant(grid.tau, factors.edge)
+    inner = tau[: grid.inner]
+    shadow, visible = step
+    growth = jnp.exp(distance / 2)
+    # field carries c; its derivative in -ln y brings down 1/2 + iτ.
+    wave = (0.5 + 1j * tau) * jnp.exp(lax.complex(tau.imag * distance, -tau.real * distance))
+    edge = 2 * growth * (wave @ field).real
+    dark = distance > shadow
+    gap = jnp.abs(distance - shadow)
+    across = jnp.exp(lax.complex(inner.imag * gap - shadow / 2, -inner.real * gap))
+    outward = (0.5 + 1j * inner) * jnp.exp(lax.complex(inner.imag * distance, -inner.real * distance))
+    inward = across * jnp.where(dark, 0.5 + 1j * inner, 0.5 - 1j * inner)
+    line = 2 * growth * ((outward - inward) @ factors.whole).real
+    return (jnp.where(dark, jnp.zeros_like(line), jnp.ones_like(line)) + line) / _nonzero(visible) - edge
+
+
 def _nonzero(value: Float[Array, ""]) -> Float[Array, ""]:
     """A width that may vanish only where the mean itself grows without bound: light and view both grazing."""
     return jnp.maximum(value, jnp.asarray(float(jnp.finfo(value.dtype).eps) ** 2, value.dtype))

@@ -58,8 +58,8 @@ def _run(argv: Sequence[str] | None) -> int:
 
 def _described(error: OSError | ValueError) -> str:
     """The message of an error; those of the operating system come with a file and a reason."""
-    if isinstance(error, OSError) and error.filename is not None and error.strerror:
-        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.strerror:
+        return f"{'output' if error.filename is None else error.filename}: {error.strerror}"
     return arguments.in_options(str(error)) or type(error).__name__
 
 

@@ -291,12 +291,12 @@ def grid(text: str) -> list[float]:
 
 def polar_angles(text: str) -> list[float]:
     """View angles from the mean normal in degrees, with commas."""
-    return _directions(text, 90, "view angles from -90 to 90 degrees such as 0,30,60, each once")
+    return _directions(text, 90.0, "view angles from -90 to 90 degrees such as 0,30,60, each once")
 
 
 def azimuths(text: str) -> list[float]:
     """View azimuths in degrees, with commas."""
-    return _directions(text, 360, "azimuths from -360 to 360 degrees such as 0,90, each once")
+    return _directions(text, 360.0, "azimuths from -360 to 360 degrees such as 0,90, each once")
 
 
 def _directions(text: str, limit: float, expected: str) -> list[float]:
@@ -333,5 +333,6 @@ def one_line(message: str) -> str:
 def in_options(message: str) -> str:
     """A message of the library in the words of the command line."""
     message = message.replace("expected column= one of", "expected --column with one of")
+    message = message.replace("say free.angle()", "say --free angle")
     message = message.replace("vcavity_jax.materials.names() lists", "'vcavity materials' lists")
     return re.sub(r"expected reflectance_unit='(\w+)'", r"expected --reflectance-unit \1", message)

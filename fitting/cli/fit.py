@@ -1,10 +1,14 @@
 """`vcavity fit`: from a measurement to the groove's parameters."""
 
 import argparse
+import dataclasses
 import os
 import sys
 from pathlib import Path
 from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
 
 import vcavity_jax as vc
 from fitting import Measurement, fit, free
@@ -21,25 +25,22 @@ def run(given: argparse.Namespace) -> int:
             measurement = measurement.select(wavelengths_nm=given.wavelengths)
         except ValueError as error:
             raise ValueError(f"{given.measurement}: --wavelengths: {error}") from None
+    if given.uncertainty is not None:
+        sigma = np.full(measurement.reflectance_factor.shape, given.uncertainty)
+        measurement = dataclasses.replace(measurement, standard_uncertainty=sigma)
     held = _held(given)
     parameters = _free(given, held)
     scene = vc.Scene(
         surface=scenes.surface(given.surface, held),
         material=scenes.material(given, measurement.wavelengths_nm),
         illumination=measurement.illumination,
-        view=vc.View(measurement.polar, measurement.azimuth),
+        view=vc.View(jnp.asarray(measurement.polar), jnp.asarray(measurement.azimuth)),
     )
     source = Path(given.measurement)
     folder = source.with_name(f"{source.stem}-fit") if given.output is None else Path(given.output)
     _require_writable(folder)
 
-    result = fit(
-        scene,
-        measurement,
-        parameters,
-        tolerance=given.tolerance,
-        standard_uncertainty=given.uncertainty,
-    )
+    result = fit(scene, measurement, parameters, tolerance=given.tolerance)
 
     folder.mkdir(parents=True, exist_ok=True)
     written = folder / "fit.json", folder / "fit.png"

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 import vcavity_jax as vc
@@ -20,8 +21,8 @@ _INDEX = re.compile(rf"({_NUMBER})(?:([+-](?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)[
 def surface(kind: str, values: dict[str, float]) -> Any:
     """The surface of a kind with the values given; a fit that frees its parameter may leave that out."""
     if kind == "v-grooves":
-        return vc.VGrooves(values.get("angle", np.pi / 2))
-    return vc.BeckmannGrooves(values.get("roughness", 0.5))
+        return vc.VGrooves(jnp.asarray(values.get("angle", np.pi / 2), float))
+    return vc.BeckmannGrooves(jnp.asarray(values.get("roughness", 0.5), float))
 
 
 def material(given: argparse.Namespace, wavelengths_nm: np.ndarray) -> Any:
@@ -45,12 +46,12 @@ def material(given: argparse.Namespace, wavelengths_nm: np.ndarray) -> Any:
                 "--material specular needs --index: a table's name, a number or a file "
                 "('vcavity materials' lists the tables)"
             )
-        return vc.Specular(_index(given.index, wavelengths_nm), given.polarization or "full")
+        return vc.Specular(jnp.asarray(_index(given.index, wavelengths_nm)), given.polarization or "full")
     if given.reflectance is None:
         raise ValueError(
             "--material lambertian needs --reflectance: a number from 0 to 1, or a flat sample's file"
         )
-    return vc.Lambertian(_reflectance(given, wavelengths_nm))
+    return vc.Lambertian(jnp.asarray(_reflectance(given, wavelengths_nm)))
 
 
 def _refuse_foreign(given: argparse.Namespace) -> None:

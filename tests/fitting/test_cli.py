@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,6 +41,9 @@ def printed(capsys: pytest.CaptureFixture[str], *argv: str) -> str:
     out, err = capsys.readouterr()
     assert err == ""
     return out
+
+
+FRONTAL = vc.View(np.zeros(1), np.zeros(1))
 
 
 # The command as a whole.
@@ -108,6 +111,18 @@ def test_reader_that_leaves_is_no_error() -> None:
     assert (run.returncode, run.stderr) == (BROKEN_PIPE, "")
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+def test_full_disk_behind_standard_output_is_told() -> None:
+    code = "import sys; from fitting.cli import main; sys.exit(main(['materials']))"
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
+        run = subprocess.run(
+            [sys.executable, "-c", code], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert run.stderr.splitlines()[0] == "vcavity: output: No space left on device"
+    assert "Traceback" not in run.stderr
+    assert run.returncode == BAD_INPUT
+
+
 def test_terminal_without_unicode_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     stream = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     monkeypatch.setattr(sys, "stdout", stream)
@@ -133,19 +148,27 @@ def test_angle_is_in_degrees_unless_it_says_radians(text: str, degrees: float) -
         ("0.1:0.3:0.1", [0.1, 0.2, 0.3]),
         ("450,550,650.5", [450, 550, 650.5]),
         ("550", [550]),
-        ("550:550:1", [550, 550]),
+        ("550:550:1", [550]),
     ],
 )
 def test_wavelengths(text: str, values: list[float]) -> None:
-    if len(set(values)) < len(values):
-        values = values[:1]
     assert arguments.grid(text) == values
 
 
 BAD_WORDS = {
     "--angle": ["", "deg", "0", "-10", "181deg", "4rad", "x", "nan", "45grad"],
     "--roughness": ["-1", "inf", "rough"],
-    "--wavelengths": ["", "700:400:10", "400:700", "400:700:7", "400:700:0", "-5", "5,4", "5,5", "1:9e9:1e-3"],
+    "--wavelengths": [
+        "",
+        "700:400:10",
+        "400:700",
+        "400:700:7",
+        "400:700:0",
+        "-5",
+        "5,4",
+        "5,5",
+        "1:9e9:1e-3",
+    ],
     "--polar": ["91", "0,0", "0,,1", "-0,0", "a"],
     "--azimuth": ["361", "90,90"],
     "--illumination": ["sun", "directional", "directional:45", "directional:95,0", "directional:a,b"],
@@ -175,9 +198,7 @@ BAD_FIT_WORDS = {
 @pytest.mark.parametrize(
     ("option", "text"), [(name, text) for name in BAD_FIT_WORDS for text in BAD_FIT_WORDS[name]]
 )
-def test_bad_word_of_fit_names_its_option(
-    capsys: pytest.CaptureFixture[str], option: str, text: str
-) -> None:
+def test_bad_word_of_fit_names_its_option(capsys: pytest.CaptureFixture[str], option: str, text: str) -> None:
     said = refusal(capsys, "fit", GOLD, *MIRROR, option, text)
     assert said.startswith(f"argument {option}: ")
     assert "expected" in said or "choose from" in said
@@ -248,7 +269,7 @@ def test_prediction_under_directional_light(capsys: pytest.CaptureFixture[str], 
     options = ["--angle", "90deg", *MATTE, "0.5", "--wavelengths", "500,600", "--tolerance", "1e-4"]
     m = predicted(capsys, tmp_path, *options, "--illumination", "directional:-45,10")
     light = vc.Directional(*np.deg2rad([-45.0, 10.0]))
-    scene = vc.Scene(vc.VGrooves(np.pi / 2), vc.Lambertian([0.5, 0.5]), light, vc.View([0.0], [0.0]))
+    scene = vc.Scene(vc.VGrooves(np.pi / 2), vc.Lambertian(np.array([0.5, 0.5])), light, FRONTAL)
     np.testing.assert_array_equal(m.reflectance_factor, vc.reflectance_factor(scene, tolerance=1e-4))
     assert (m.illumination.polar, m.illumination.azimuth) == (light.polar, light.azimuth)
 
@@ -256,7 +277,7 @@ def test_prediction_under_directional_light(capsys: pytest.CaptureFixture[str], 
 def test_prediction_of_random_grooves(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     options = ["--surface", "beckmann", "--roughness", "0.3", "--tolerance", "1e-3", "--wavelengths", "500"]
     m = predicted(capsys, tmp_path, *options, *MATTE, "0.5")
-    scene = vc.Scene(vc.BeckmannGrooves(0.3), vc.Lambertian([0.5]), vc.Diffuse(), vc.View([0.0], [0.0]))
+    scene = vc.Scene(vc.BeckmannGrooves(0.3), vc.Lambertian(np.array([0.5])), vc.Diffuse(), FRONTAL)
     np.testing.assert_array_equal(m.reflectance_factor, vc.reflectance_factor(scene, tolerance=1e-3))
 
 
@@ -308,8 +329,8 @@ def test_flat_sample_is_used_as_measured_or_resampled(
 
 def test_flat_sample_from_a_table(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     options = ["--angle", "180", "--wavelengths", "330,354", *MATTE, METALS]
-    m = predicted(capsys, tmp_path, *options, "--reflectance-column", "gold")
-    np.testing.assert_allclose(m.reflectance_factor, [[0.314, 0.317]], atol=1e-8)
+    m = predicted(capsys, tmp_path, *options, "--reflectance-column", "nickel")
+    np.testing.assert_allclose(m.reflectance_factor, [[0.340, 0.355]], atol=1e-8)
     said = refusal(capsys, "predict", *options)
     assert "expected --reflectance-column with one of: aluminum, copper" in said
 
@@ -372,3 +393,267 @@ def test_predict_refuses(capsys: pytest.CaptureFixture[str], argv: list[str], sa
 def test_predict_refuses_wavelengths_beyond_the_table(capsys: pytest.CaptureFixture[str]) -> None:
     said = refusal(capsys, "predict", "--angle", "45", *MIRROR, "--wavelengths", "500,2000")
     assert said.startswith("Au-Johnson: wavelength 2000 nm is outside the table's range, 187.9 nm to 1937 nm")
+
+
+# Fits: what the options mean, with a stand-in for the fit itself.
+
+
+class StandIn:
+    """Takes the place of `fit`: keeps what it is asked, answers what the test wants."""
+
+    def __init__(self, status: str = "converged", identifiable: bool = True) -> None:
+        self.status, self.identifiable = status, identifiable
+        self.message = "why,\nand what to do"
+
+    def __call__(self, scene: vc.Scene, measurement: Measurement, parameters: list, **options: Any) -> Any:
+        self.scene, self.measurement, self.options = scene, measurement, options
+        self.bounds = {one.name: (one.lower, one.upper) for one in parameters}
+        return self
+
+    def summary(self) -> str:
+        return "angle 45.00 ± 0.02 deg"
+
+    def to_json(self, path: Path) -> None:
+        path.write_text('{"status": "converged"}\n', encoding="utf-8")
+
+    def plot(self, path: Path) -> None:
+        path.write_bytes(b"picture")
+
+
+@pytest.fixture
+def stand_in(monkeypatch: pytest.MonkeyPatch) -> StandIn:
+    stand_in = StandIn()
+    monkeypatch.setattr("fitting.cli.fit.fit", stand_in)
+    return stand_in
+
+
+def fit(capsys: pytest.CaptureFixture[str], folder: Path, *argv: str) -> str:
+    return printed(capsys, "fit", *argv, "--output", str(folder))
+
+
+def test_fit_of_a_mirror(capsys: pytest.CaptureFixture[str], tmp_path: Path, stand_in: StandIn) -> None:
+    fit(capsys, tmp_path, GOLD, *MIRROR)
+    scene, m = stand_in.scene, Measurement.read(GOLD)
+    assert isinstance(scene.surface, vc.VGrooves)
+    np.testing.assert_array_equal(
+        scene.material.index, materials.refractive_index("Au-Johnson", m.wavelengths_nm)
+    )
+    assert scene.material.polarization == "full"
+    assert isinstance(scene.illumination, vc.Diffuse)
+    np.testing.assert_array_equal(scene.view.polar, m.polar)
+    np.testing.assert_array_equal(scene.view.azimuth, m.azimuth)
+    np.testing.assert_array_equal(stand_in.measurement.reflectance_factor, m.reflectance_factor)
+    assert stand_in.bounds == {"angle": (math.radians(5), math.radians(180))}
+    assert stand_in.options == {"tolerance": 1e-8}
+
+
+def test_fit_of_a_matte_surface(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, stand_in: StandIn
+) -> None:
+    fit(capsys, tmp_path, ORANGE, *MATTE, FLAT)
+    expected = Measurement.read(FLAT).reflectance_factor[0]
+    np.testing.assert_array_equal(stand_in.scene.material.reflectance, expected)
+    fit(capsys, tmp_path, ORANGE, *MATTE, FLAT, "--wavelengths", "450:600")
+    np.testing.assert_array_equal(stand_in.scene.material.reflectance, expected[5:21])
+    np.testing.assert_array_equal(stand_in.measurement.wavelengths_nm, np.arange(450, 601, 10))
+
+
+ROUGH = ["--surface", "beckmann"]
+
+
+@pytest.mark.parametrize(
+    ("argv", "bounds"),
+    [
+        (["--free", "angle", "--free", "gain"], {"angle": (5, 180), "gain": None}),
+        (["--free", "offset", "--free", "angle", "--free", "offset"], {"offset": None, "angle": (5, 180)}),
+        (["--angle-range", "10:175"], {"angle": (10, 175)}),
+        (ROUGH, {"roughness": (0.01, 3)}),
+        ([*ROUGH, "--roughness-range", "0.1:1", "--free", "roughness"], {"roughness": (0.1, 1)}),
+        (["--fix", "angle=45deg", "--free", "gain"], {"gain": None}),
+        (
+            [*ROUGH, "--fix", "roughness=0.3", "--free", "gain", "--free", "offset"],
+            {"gain": None, "offset": None},
+        ),
+    ],
+)
+def test_free_and_fixed_parameters(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    stand_in: StandIn,
+    argv: list[str],
+    bounds: dict[str, Any],
+) -> None:
+    fit(capsys, tmp_path, GOLD, *MIRROR, *argv)
+    assert list(stand_in.bounds) == list(bounds)
+    for name, limits in bounds.items():
+        if limits is not None:
+            expected = np.deg2rad(limits) if name == "angle" else limits
+            np.testing.assert_allclose(stand_in.bounds[name], expected, rtol=1e-15)
+    if "angle=45deg" in argv:
+        assert stand_in.scene.surface.angle == math.radians(45)
+    if "roughness=0.3" in argv:
+        assert stand_in.scene.surface.roughness == 0.3
+
+
+def test_options_of_the_measurement_and_the_model(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, stand_in: StandIn
+) -> None:
+    options = ["--polarization", "separate", "--tolerance", "1e-5", "--uncertainty", "0.02"]
+    options += ["--column", "nickel", "--wavelengths", "390:800", "--reflectance-unit", "fraction"]
+    fit(capsys, tmp_path, METALS, "--material", "specular", "--index", "Ni-Johnson", *options)
+    expected = Measurement.read(METALS, column="nickel").select(wavelengths_nm=(390.0, 800.0))
+    np.testing.assert_array_equal(stand_in.measurement.reflectance_factor, expected.reflectance_factor)
+    assert stand_in.scene.material.polarization == "separate"
+    assert np.all(stand_in.measurement.standard_uncertainty == 0.02)
+    assert stand_in.options == {"tolerance": 1e-5}
+
+    percent = tmp_path / "percent.csv"
+    percent.write_text("wavelength_nm,reflectance\n500,1.5\n600,2\n", encoding="utf-8")
+    fit(capsys, tmp_path, str(percent), *MATTE, "0.5", "--reflectance-unit", "percent")
+    np.testing.assert_allclose(stand_in.measurement.reflectance_factor, [[0.015, 0.02]])
+
+
+def test_output_stands_beside_the_measurement(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, stand_in: StandIn
+) -> None:
+    source = tmp_path / "my sample.v2.csv"
+    source.write_bytes(Path(GOLD).read_bytes())
+    out = printed(capsys, "fit", str(source), *MIRROR)
+    folder = tmp_path / "my sample.v2-fit"
+    assert out.splitlines() == [
+        "angle 45.00 ± 0.02 deg",
+        f"wrote {folder / 'fit.json'}",
+        f"wrote {folder / 'fit.png'}",
+    ]
+    assert (folder / "fit.png").read_bytes() == b"picture"
+    printed(capsys, "fit", str(source), *MIRROR)  # again, into the same folder
+
+
+def test_json_is_printed_alone(capsys: pytest.CaptureFixture[str], tmp_path: Path, stand_in: StandIn) -> None:
+    out = fit(capsys, tmp_path / "a" / "b", GOLD, *MIRROR, "--json")
+    assert out == (tmp_path / "a" / "b" / "fit.json").read_text(encoding="utf-8")
+    assert json.loads(out) == {"status": "converged"}
+
+
+@pytest.mark.parametrize(
+    ("status", "identifiable"),
+    [("not converged", True), ("at bound", True), ("not identifiable", False), ("converged", False)],
+)
+@pytest.mark.parametrize("option", [[], ["--json"]])
+def test_fit_without_trustworthy_answer_says_why(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    stand_in: StandIn,
+    status: str,
+    identifiable: bool,
+    option: list[str],
+) -> None:
+    stand_in.status, stand_in.identifiable = status, identifiable
+    assert main(["fit", GOLD, *MIRROR, "--output", str(tmp_path), *option]) == NO_ANSWER == 1
+    out, err = capsys.readouterr()
+    assert out.startswith("{" if option else "angle")
+    assert err == f"vcavity: {status}: why, and what to do\n"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["fit.json", "fit.png"]
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        (["gone.csv", *MIRROR], "gone.csv: no such file"),
+        ([str(EXAMPLES), *MIRROR], "is a directory; expected a measurement file"),
+        ([METALS, *MIRROR], "expected --column with one of: aluminum"),
+        ([GOLD, *MIRROR, "--column", "gold"], "no column 'gold'"),
+        ([GOLD, *MIRROR, "--reflectance-unit", "percent"], "expected --reflectance-unit fraction"),
+        ([GOLD, *MIRROR, "--wavelengths", "800:900"], f"{GOLD}: --wavelengths: no wavelength lies within"),
+        ([METALS, *MIRROR, "--column", "gold"], "187.9 nm to 1937 nm: choose others with --wavelengths"),
+        ([GOLD, *MATTE, FLAT, "--index", "1.5"], "--index belongs to --material specular"),
+        ([GOLD, *MIRROR, "--free", "gain"], "angle is neither free nor fixed"),
+        ([GOLD, *MIRROR, "--free", "roughness"], "--free roughness belongs to --surface beckmann"),
+        ([GOLD, *MIRROR, *ROUGH, "--free", "angle"], "--free angle belongs to --surface v-grooves"),
+        ([GOLD, *MIRROR, "--fix", "roughness=1"], "--fix roughness belongs to --surface beckmann"),
+        ([GOLD, *MIRROR, "--fix", "angle=45", "--fix", "angle=46"], "--fix angle is given twice"),
+        ([GOLD, *MIRROR, "--fix", "angle=45"], "--fix angle leaves nothing to fit"),
+        ([GOLD, *MIRROR, "--fix", "angle=45", "--free", "angle"], "angle is in --free and in --fix"),
+        (
+            [GOLD, *MIRROR, "--fix", "angle=45", "--free", "gain", "--angle-range", "1:9"],
+            "--angle-range has no effect",
+        ),
+        ([GOLD, *MIRROR, "--roughness-range", "1:2"], "--roughness-range belongs to --surface beckmann"),
+        ([GOLD, *MIRROR, *ROUGH, "--angle-range", "1:2"], "--angle-range belongs to --surface v-grooves"),
+    ],
+)
+def test_fit_refuses(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, stand_in: StandIn, argv: list[str], said: str
+) -> None:
+    folder = tmp_path / "out"
+    assert said in refusal(capsys, "fit", *argv, "--output", str(folder))
+    assert not folder.exists()
+    assert not hasattr(stand_in, "scene")
+
+
+def test_unwritable_output_is_refused_before_the_fit(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, stand_in: StandIn
+) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    for folder in (file, file / "below"):
+        said = refusal(capsys, "fit", GOLD, *MIRROR, "--output", str(folder))
+        assert said == f"{file}: is a file; expected a folder for the output"
+    (tmp_path / "real").mkdir()
+    (tmp_path / "real" / "fit.json").mkdir()  # what only the writing itself can find out
+    said = refusal(capsys, "fit", GOLD, *MIRROR, "--output", str(tmp_path / "real"))
+    assert "fit.json" in said
+    assert "irectory" in said
+
+
+# Fits in earnest.
+
+
+def strict(text: str) -> Any:
+    """JSON without the constants that JSON does not have."""
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} in the JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def test_fit_finds_what_was_predicted(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    source, folder = tmp_path / "matte.csv", tmp_path / "matte-fit"
+    matte = [*MATTE, "0.5", "--tolerance", "1e-6"]
+    printed(capsys, "predict", "--angle", "60", *matte, "--wavelengths", "500,600", "--output", str(source))
+
+    out = printed(capsys, "fit", str(source), *matte, "--uncertainty", "0.005", "--json")
+
+    answer = strict(out)
+    assert out == (folder / "fit.json").read_text(encoding="utf-8")
+    assert (folder / "fit.png").read_bytes().startswith(b"\x89PNG")
+    assert answer["status"] == "converged"
+    assert answer["identifiable"] is True
+    angle = answer["parameters"]["angle"]
+    assert angle["unit"] == "deg"
+    assert angle["value"] == pytest.approx(60, abs=1e-3)
+    ((low, high),) = angle["interval_95"]
+    assert low < 60 < high
+    # The profile of a smooth model is close to a parabola this near its minimum.
+    assert high - low == pytest.approx(2 * 1.96 * angle["standard_error"], rel=0.05)
+    assert (angle["at_bound"], angle["at_kink"]) == (False, False)
+    assert answer["degrees_of_freedom"] == 1
+    assert answer["chi_square"] == pytest.approx(0, abs=1e-6)
+    assert len(answer["minima"]) == 1
+    assert answer["scene"]["surface"]["angle_deg"] == angle["value"]
+    assert answer["version"] == vc.__version__
+
+
+def test_blind_fit_has_status_1(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    source = tmp_path / "mirror.csv"
+    mirror = [*MIRROR, "--tolerance", "1e-6"]
+    printed(capsys, "predict", "--angle", "160", *mirror, "--wavelengths", "500,600", "--output", str(source))
+    assert main(["fit", str(source), *mirror, "--uncertainty", "0.005"]) == NO_ANSWER
+    out, err = capsys.readouterr()
+    assert err.startswith("vcavity: not identifiable: ")
+    assert err.count("\n") == 1
+    assert "angle" in out.splitlines()[1]
+    answer = strict((tmp_path / "mirror-fit" / "fit.json").read_text(encoding="utf-8"))
+    assert (answer["status"], answer["identifiable"]) == ("not identifiable", False)
+    assert answer["parameters"]["angle"]["standard_error"] is None

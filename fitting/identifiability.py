@@ -1,0 +1,223 @@
+"""How far a fit can be trusted: what the data determine, and every known reason to doubt it, in words."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import gammaincc, stdtrit  # type: ignore[import-untyped]
+
+import vcavity_jax as vc
+from fitting.problem import Problem
+from fitting.result import Estimate, Minimum
+
+WEAK = 0.05
+"""Smallest singular value of the scaled Jacobian below which parameters are hardly told apart."""
+
+SINGULAR = 1e-7
+_BAD_FIT = 1e-3
+_LIKELIHOOD_95 = 3.841458820694124
+
+
+@dataclass(frozen=True)
+class LocalInformation:
+    """What the slopes of the model at a point say about all parameters.
+
+    Args:
+        singular_values: of the Jacobian with its columns scaled to unit length, descending.
+        covariance: of all parameters; NaN if the Jacobian is singular.
+        singular: whether it is.
+    """
+
+    singular_values: np.ndarray
+    covariance: np.ndarray
+    singular: bool
+
+    @property
+    def standard_errors(self) -> np.ndarray:
+        """Square roots of the covariance's diagonal, NaN where singular."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """The covariance with a unit diagonal."""
+        errors = self.standard_errors
+        return np.asarray(self.covariance / np.outer(errors, errors))
+
+
+def local_information(jacobian: Float[np.ndarray, "rows parameters"]) -> LocalInformation:
+    """Gauss-Newton covariance of a weighted Jacobian.
+
+    A pseudo-inverse would report a small error exactly where a parameter is not determined at all; here the
+    covariance is NaN then.
+
+    Args:
+        jacobian: derivative of the weighted residuals, priors included.
+    """
+    count = jacobian.shape[1]
+    lengths = np.linalg.norm(jacobian, axis=0)
+    if not np.isfinite(jacobian).all():
+        return LocalInformation(np.full(count, np.nan), np.full((count, count), np.nan), True)
+    scaled = jacobian / np.where(lengths > 0, lengths, 1.0)
+    _, values, turned = np.linalg.svd(scaled, full_matrices=False)
+    if len(values) < count or values[-1] <= SINGULAR or not lengths.all():
+        values = np.pad(values, (0, count - len(values)))
+        return LocalInformation(values, np.full((count, count), np.nan), True)
+    half = turned.T / values / lengths[:, None]
+    return LocalInformation(values, half @ half.T, False)
+
+
+def threshold_95(degrees_of_freedom: int, uncertainty_estimated: bool) -> float:
+    """Rise of chi-square that bounds a 95 % interval.
+
+    3.84 if the uncertainty is known; the squared 97.5 % point of Student's t, that is the F-type limit, if it
+    is estimated from the same residuals.
+    """
+    if not uncertainty_estimated or degrees_of_freedom < 1:
+        return _LIKELIHOOD_95
+    return float(stdtrit(degrees_of_freedom, 0.975)) ** 2
+
+
+def p_value(chi_square: float, degrees_of_freedom: int) -> float:
+    """Chance that a true model fits at least as badly."""
+    return float(gammaincc(degrees_of_freedom / 2, chi_square / 2)) if degrees_of_freedom > 0 else math.nan
+
+
+def find_warnings(
+    problem: Problem,
+    estimates: dict[str, Estimate],
+    minima: Sequence[Minimum],
+    information: LocalInformation,
+    open_names: Sequence[str],
+    chi_square: float,
+    rms_misfit: float,
+    uncertainty_estimated: bool,
+) -> tuple[str, ...]:
+    """Every reason to doubt a fit, one sentence each.
+
+    Args:
+        problem: what was fitted.
+        estimates: by name.
+        minima: distinct ones within 9 in chi-square.
+        information: at the best fit.
+        open_names: parameters whose profile does not close within the allowed range.
+        chi_square: at the best fit.
+        rms_misfit: root mean square of the residuals.
+        uncertainty_estimated: sigma is not known but estimated.
+    """
+    found = _fit_quality(problem, chi_square, rms_misfit, uncertainty_estimated)
+    found += _directions(problem, estimates)
+    if len(minima) > 1:
+        found.append(
+            f"{len(minima)} distinct minima lie within 9 in chi-square ({_list_minima(problem, minima)}): "
+            "the data do not choose between them; add directions or fix what else is known"
+        )
+    for name, estimate in estimates.items():
+        if estimate.at_kink:
+            found.append(
+                f"{name} lies at a kink of the model, where its slopes on both sides differ: trust the 95 % "
+                "interval, not the standard error"
+            )
+        if name in open_names:
+            found.append(_one_sided(problem, name, estimate))
+    weakest = information.singular_values[-1]
+    if information.singular:
+        found.append(
+            "the parameters cannot be told apart (the Jacobian is singular): fix one, give a prior, or add "
+            "directions"
+        )
+    elif weakest < WEAK:
+        found.append(
+            f"the parameters are hardly told apart (smallest singular value of the scaled Jacobian "
+            f"{weakest:.2g}, below {WEAK}): fix one, give a prior, or add directions"
+        )
+    return tuple(found)
+
+
+def _fit_quality(
+    problem: Problem, chi_square: float, rms_misfit: float, uncertainty_estimated: bool
+) -> list[str]:
+    found = []
+    dof = problem.degrees_of_freedom
+    if dof == 0:
+        found.append("no degree of freedom is left: any model would fit, so that this one cannot be tested")
+    elif uncertainty_estimated:
+        found.append(
+            f"the measurement states no uncertainty: {rms_misfit:.2g} is estimated from the residuals, as if "
+            "the model were right; give a standard uncertainty to test it"
+        )
+    elif p_value(chi_square, dof) < _BAD_FIT:
+        found.append(
+            f"the model does not describe this spectrum: chi-square per degree of freedom "
+            f"{chi_square / dof:.2g}, rms misfit {rms_misfit:.2g}; standard errors are not to be trusted"
+        )
+    values, weights = np.asarray(problem.data.values), np.asarray(problem.data.weights)
+    beyond = (values - 1) * weights > 3
+    below = values * weights < -3
+    if isinstance(problem.scene.illumination, vc.Diffuse) and (beyond | below).any():
+        worst = values[beyond | below][np.argmax(np.abs(values[beyond | below] - 0.5))]
+        found.append(
+            f"{int((beyond | below).sum())} measured values lie outside 0 to 1 by more than three standard "
+            f"uncertainties (the worst is {worst:.3g}): no surface does that in diffuse light; "
+            "check the calibration"
+        )
+    return found
+
+
+def _directions(problem: Problem, estimates: dict[str, Estimate]) -> list[str]:
+    """Views that cannot see what is asked of them."""
+    scene = problem.scene
+    polar, azimuth = problem.measurement.polar, problem.measurement.azimuth
+    section = np.abs(np.arctan2(np.sin(polar) * np.cos(azimuth), np.cos(polar)))
+    found = []
+    if (section < 1e-6).all() and (np.abs(polar) > 1e-6).any():
+        found.append(
+            "all directions lie along the grooves (tan θ' = tan θ cos φ = 0): they tell little more about "
+            "the grooves than one frontal view; add directions across them"
+        )
+    shiny = isinstance(scene.material, vc.Specular)
+    angle = problem.nonlinear[problem.is_angle].name if problem.is_angle is not None else None
+    if (
+        shiny
+        and angle is not None
+        and estimates[angle].value > np.radians(120)
+        and (section < np.radians(30)).all()
+    ):
+        found.append(
+            "each ray is reflected once, near the normal, where the reflectance hardly depends on the angle: "
+            "these directions are blind; add one at θ ≥ 75 degrees across the grooves"
+        )
+    rough = estimates.get("roughness")
+    if rough is not None and isinstance(scene.surface, vc.BeckmannGrooves):
+        frontal = (np.abs(polar) < np.radians(60)).all()
+        limit = (0.2 if frontal else 0.0) if shiny else 0.1
+        if rough.value < limit:
+            found.append(
+                f"roughness {rough.value:.2g} is below {limit}, where the reflectance no longer depends on "
+                "it: take the interval's upper end as a limit"
+            )
+    return found
+
+
+def _one_sided(problem: Problem, name: str, estimate: Estimate) -> str:
+    parameter = next(p for p in problem.parameters if p.name == name)
+    low, high = estimate.interval_95[0][0], estimate.interval_95[-1][1]
+    unit = " degrees" if parameter.unit == "rad" else ""
+    shown_low, shown_high = parameter.displayed(low), parameter.displayed(high)
+    at_low, at_high = low <= parameter.lower, high >= parameter.upper
+    if (at_low and at_high) or not (at_low or at_high):
+        limit = "any allowed value fits" if len(estimate.interval_95) == 1 else "no limit can be given"
+    elif at_high:
+        limit = f"only that it is at least {shown_low:.4g}{unit}"
+    else:
+        limit = f"only that it is at most {shown_high:.4g}{unit}"
+    return (
+        f"{name} is not determined within its allowed range ({limit}): no standard error; add directions, "
+        "widen the range, or fix what else is known"
+    )
+
+
+def _list_minima(problem: Problem, minima: Sequence[Minimum]) -> str:
+    first = problem.nonlinear[0]
+    return ", ".join(f"{first.name} {first.displayed(m.values[first.name]):.4g}" for m in minima)

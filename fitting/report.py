@@ -1,0 +1,205 @@
+"""From the minima that were found to a result: errors, intervals, flags, warnings and a status."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+import vcavity_jax as vc
+from fitting import identifiability
+from fitting.intervals import LinearProfile, Pieces, Profile, linear_profile
+from fitting.polish import Polished, polish
+from fitting.problem import Evaluation, Problem
+from fitting.result import Estimate, FitResult, Minimum
+
+_SIDE = 1e-6
+"""Distance from the minimum, as a share of the range, at which one-sided slopes are taken."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """Minima, best first, and all that was evaluated on the way."""
+
+    minima: Polished
+    converged: np.ndarray
+    table: Evaluation
+
+
+def kink_values(problem: Problem) -> Float[np.ndarray, " k"]:
+    """Allowed dihedral angles at which the model is not smooth, radians; none if the angle is not free."""
+    if problem.is_angle is None:
+        return np.empty(0)
+    angle = problem.nonlinear[problem.is_angle]
+    return np.asarray(vc.kink_angles(problem.scene, angle.lower, angle.upper), dtype=np.float64)
+
+
+def _information(problem: Problem, at: Polished, index: int) -> identifiability.LocalInformation:
+    gain = at.linear[index, 0]
+    return identifiability.local_information(problem.jacobian(at.predicted[index], gain * at.slopes[index]))
+
+
+def _one_sided(problem: Problem, found: Found) -> tuple[list[tuple[Any, Any]], list[tuple[float, float]]]:
+    """For each nonlinear parameter, what the slopes left and right of the best fit say, and their sizes."""
+    best = found.minima.parameters[0]
+    low, high = np.asarray(problem.data.bounds, dtype=np.float64)
+    points = []
+    for i, parameter in enumerate(problem.nonlinear):
+        for side in (-1, 1):
+            beside = best.copy()
+            shifted = parameter.natural(best[i]) + side * _SIDE * (high[i] - low[i])
+            beside[i] = parameter.from_natural(np.clip(shifted, low[i], high[i]))
+            points.append(beside)
+    at = polish(problem, np.array(points), frozen=True)
+    weights = np.asarray(problem.data.weights, dtype=np.float64)
+    sizes = [float(np.linalg.norm(weights * at.slopes[k, k // 2])) for k in range(len(points))]
+    said = [_information(problem, at, k) for k in range(len(points))]
+    pairs = range(0, len(points), 2)
+    return [(said[k], said[k + 1]) for k in pairs], [(sizes[k], sizes[k + 1]) for k in pairs]
+
+
+def report(problem: Problem, found: Found, unknown: bool) -> FitResult:
+    """Turn what was found into estimates, intervals, warnings and a status.
+
+    Args:
+        problem: what was fitted.
+        found: its minima and the table of the search.
+        unknown: the standard uncertainty is estimated from the residuals.
+    """
+    minima, best = found.minima, found.minima.parameters[0]
+    chi_square = float(minima.chi_square[0])
+    threshold = identifiability.threshold_95(problem.degrees_of_freedom, unknown)
+    information = _information(problem, minima, 0)
+    sides, sizes = _one_sided(problem, found)
+    errors = information.standard_errors.copy()
+    kinks = kink_values(problem)
+    profiles: list[Profile] = []
+    intervals: list[Pieces] = []
+    closed: list[bool] = []
+    at_kink: list[bool] = []
+    one_sided: list[tuple[float, float] | None] = []
+    for i in range(len(problem.nonlinear)):
+        left, right = (float(side.standard_errors[i]) for side in sides[i])
+        uneven = max(sizes[i]) > 1.5 * min(sizes[i])
+        if uneven and i == problem.is_angle:
+            errors[i] = np.fmax(left, right)
+        near = bool(np.any(np.abs(kinks - best[i]) < 3 * errors[i])) if i == problem.is_angle else False
+        at_kink.append(i == problem.is_angle and (near or uneven))
+        one_sided.append((left, right))
+        profile = Profile(problem, i, found.table)
+        profile.add(Evaluation(*(getattr(minima, name) for name in Evaluation._fields)))
+        for k in np.flatnonzero(minima.chi_square - chi_square < threshold):
+            own = errors[i] if k == 0 else _information(problem, minima, int(k)).standard_errors[i]
+            beside = (np.fmin(left, own), np.fmin(right, own)) if k == 0 else (own, own)
+            profile.refine_around(float(minima.parameters[k, i]), *(float(b) for b in beside))
+        pieces, inside = profile.region(chi_square, threshold)
+        profiles.append(profile)
+        intervals.append(pieces)
+        closed.append(inside)
+    linear = [
+        linear_profile(profiles[0].points, column, chi_square, threshold) for column in problem.linear_slots
+    ]
+    return _assemble(
+        problem, found, unknown, information, errors, profiles, linear, intervals, closed, at_kink, one_sided
+    )
+
+
+def _assemble(
+    problem: Problem,
+    found: Found,
+    unknown: bool,
+    information: identifiability.LocalInformation,
+    errors: np.ndarray,
+    profiles: list[Profile],
+    linear: list[LinearProfile],
+    intervals: list[Pieces],
+    closed: list[bool],
+    at_kink: list[bool],
+    one_sided: list[tuple[float, float] | None],
+) -> FitResult:
+    minima, chi_square = found.minima, float(found.minima.chi_square[0])
+    gain, offset = (float(x) for x in minima.linear[0])
+    estimates: dict[str, Estimate] = {}
+    for i, p in enumerate(problem.nonlinear):
+        value = float(minima.parameters[0, i])
+        margins = [p.natural(value) - p.natural(p.lower), p.natural(p.upper) - p.natural(value)]
+        at_bound = bool(min(margins) <= 1e-6 * sum(margins))
+        error = float(errors[i]) if closed[i] else np.nan
+        estimates[p.name] = Estimate(
+            value, error, intervals[i], p.unit, at_bound, bool(at_kink[i]) and not at_bound, one_sided[i]
+        )
+    for slot, p in enumerate(problem.linear, start=len(problem.nonlinear)):
+        profile = linear[slot - len(problem.nonlinear)]
+        value = gain if p.role == "gain" else offset
+        estimates[p.name] = Estimate(value, float(errors[slot]), profile.pieces, p.unit)
+    open_names = [p.name for p, inside in zip(problem.nonlinear, closed, strict=True) if not inside]
+    values = problem.measurement.reflectance_factor
+    predicted = gain * minima.predicted[0] + offset
+    residuals = values - predicted
+    rms = float(np.sqrt(np.nanmean(residuals**2)))
+    names = [p.name for p in problem.parameters]
+    listed = [
+        Minimum(
+            dict(zip(names, [*map(float, point), *map(float, extra[problem.linear_slots])], strict=True)),
+            float(cost),
+        )
+        for point, extra, cost in zip(minima.parameters, minima.linear, minima.chi_square, strict=True)
+    ]
+    drawn = {name: (p.values, p.points.chi_square) for name, p in zip(names, profiles, strict=False)}
+    drawn |= {p.name: (q.values, q.chi_square) for p, q in zip(problem.linear, linear, strict=True)}
+    status, message = _status(problem, estimates, open_names, information, bool(found.converged[0]))
+    lost = int(np.sum(~np.isfinite(found.table.chi_square)))
+    doubts = identifiability.find_warnings(
+        problem, estimates, listed, information, open_names, chi_square, rms, unknown
+    )
+    if lost:
+        doubts += (f"the model gave no number at {lost} of {len(found.table.chi_square)} trial points",)
+    return FitResult(
+        scene=problem.fitted_scene(minima.parameters[0]),
+        measurement=problem.measurement,
+        estimates=estimates,
+        covariance=information.covariance,
+        correlation=information.correlation,
+        chi_square=chi_square,
+        degrees_of_freedom=problem.degrees_of_freedom,
+        residuals=residuals,
+        predicted=predicted,
+        singular_values=information.singular_values,
+        identifiable=not open_names and not information.singular,
+        minima=listed,
+        profiles=drawn,
+        rms_misfit=rms,
+        uncertainty_estimated=unknown,
+        warnings=doubts,
+        status=status,
+        message=message,
+    )
+
+
+def _status(
+    problem: Problem,
+    estimates: dict[str, Estimate],
+    open_names: list[str],
+    information: identifiability.LocalInformation,
+    converged: bool,
+) -> tuple[str, str]:
+    bound = [name for name, estimate in estimates.items() if estimate.at_bound]
+    if bound:
+        p = next(q for q in problem.nonlinear if q.name == bound[0])
+        which = "lower" if estimates[p.name].value - p.lower < p.upper - estimates[p.name].value else "upper"
+        edge = p.displayed(p.lower if which == "lower" else p.upper)
+        return "at bound", (
+            f"{p.name} ended on its {which} bound, {edge:g} {'degrees' if p.unit == 'rad' else ''}".rstrip()
+            + ": only a one-sided limit holds; widen the range, or check material, gain and illumination"
+        )
+    if open_names or information.singular:
+        names = ", ".join(open_names) or "the combination of the free parameters"
+        return "not identifiable", (
+            f"the data do not determine {names} within the allowed range: add directions, fix another "
+            "parameter, or give a prior"
+        )
+    if not converged:
+        return "not converged", (
+            "the polish ran out of steps: raise max_steps, narrow the ranges, or free fewer parameters"
+        )
+    return "converged", "The best fit of the whole allowed range is found; every parameter is determined."

@@ -1,0 +1,121 @@
+"""What the data determine, and the words for what they do not."""
+
+import numpy as np
+import pytest
+
+import vcavity_jax as vc
+from fitting import Measurement, fit, free
+from fitting.identifiability import local_information, p_value, threshold_95
+
+GOLD = np.array([1.46 + 1.95j, 0.97 + 1.87j, 0.4 + 2.6j, 0.17 + 3.2j])
+BAND = np.array([450.0, 500.0, 550.0, 650.0])
+RED = np.array([0.1, 0.2, 0.5, 0.7])
+
+
+def synthetic(scene, polar_deg=(0.0,), azimuth_deg=0.0, sigma=0.005, noise=0.0, seed=0):
+    polar = np.radians(np.atleast_1d(polar_deg))
+    azimuth = np.broadcast_to(np.radians(azimuth_deg), polar.shape)
+    seen = vc.Scene(scene.surface, scene.material, scene.illumination, vc.View(polar, azimuth))
+    values = np.asarray(vc.reflectance_factor(seen))
+    values = values + noise * np.random.default_rng(seed).standard_normal(values.shape)
+    return Measurement(BAND, polar, azimuth, values, np.full(values.shape, sigma))
+
+
+def grooves(degrees, material):
+    return vc.Scene(vc.VGrooves(np.radians(degrees)), material, vc.Diffuse(), vc.View())
+
+
+def test_covariance_of_a_known_jacobian():
+    jacobian = np.array([[2.0, 0.0], [0.0, 0.5], [0.0, 0.0]])
+    known = local_information(jacobian)
+    assert known.standard_errors == pytest.approx([0.5, 2.0])
+    assert known.singular_values == pytest.approx([1.0, 1.0])
+    assert not known.singular
+
+
+@pytest.mark.parametrize("jacobian", [np.ones((4, 2)), np.eye(3)[:, :2] * [1, 0], np.full((3, 1), np.nan)])
+def test_a_singular_jacobian_has_no_standard_error(jacobian):
+    said = local_information(jacobian)
+    assert said.singular
+    assert np.isnan(said.standard_errors).all()
+
+
+def test_thresholds():
+    assert threshold_95(10, False) == pytest.approx(1.959964**2, rel=1e-6)
+    assert threshold_95(4, True) == pytest.approx(2.776445**2, rel=1e-6)
+    assert p_value(3.841459, 1) == pytest.approx(0.05, rel=1e-5)
+    assert np.isnan(p_value(1.0, 0))
+
+
+def test_a_frontal_mirror_is_blind_beyond_120_degrees():
+    scene = grooves(150, vc.Specular(GOLD))
+    result = fit(scene, synthetic(scene), [free.angle(100, 180)])
+    assert not result.identifiable
+    assert result.status == "not identifiable"
+    assert np.isnan(result.estimates["angle"].standard_error)
+    assert result.estimates["angle"].interval_95[-1][1] == np.pi
+    words = " ".join(result.warnings)
+    assert "blind" in words
+    assert "not determined" in words
+    assert "add directions" in result.message
+
+
+def test_a_flat_surface_ends_on_its_bound():
+    scene = grooves(180, vc.Lambertian(RED))
+    result = fit(scene, synthetic(scene), [free.angle(60, 180)])
+    assert result.status == "at bound"
+    assert result.estimates["angle"].at_bound
+    assert result.estimates["angle"].value == np.pi
+    assert np.isnan(result.estimates["angle"].standard_error)
+    low = result.estimates["angle"].interval_95[0][0]
+    assert np.radians(100) < low < np.pi
+    assert "upper bound" in result.message
+    assert "at least" in " ".join(result.warnings)
+
+
+def test_a_free_gain_without_prior_hides_a_single_constant():
+    scene = grooves(60, vc.Lambertian(np.full(4, 0.5)))
+    result = fit(scene, synthetic(scene), [free.angle(), free.gain(None), free.offset(None)])
+    assert not result.identifiable
+    assert result.status == "not identifiable"
+    assert "singular" in " ".join(result.warnings)
+    assert np.isnan([e.standard_error for e in result.estimates.values()]).all()
+
+
+def test_all_directions_along_the_grooves():
+    scene = grooves(60, vc.Lambertian(RED))
+    result = fit(scene, synthetic(scene, (20.0, 40.0), 90.0), [free.angle()])
+    assert "along the grooves" in " ".join(result.warnings)
+    assert result.identifiable
+
+
+def test_values_that_no_surface_gives():
+    scene = grooves(60, vc.Lambertian(RED))
+    good = synthetic(scene)
+    values = good.reflectance_factor.copy()
+    values[0, 3] = 1.2
+    bad = Measurement(BAND, good.polar, good.azimuth, values, good.standard_uncertainty)
+    words = " ".join(fit(scene, bad, [free.angle()]).warnings)
+    assert "outside 0 to 1" in words
+    assert "does not describe" in words
+
+
+def test_nothing_left_to_test():
+    scene = grooves(60, vc.Lambertian(RED))
+    full = synthetic(scene)
+    values = np.full((1, 4), np.nan)
+    values[0, 2] = full.reflectance_factor[0, 2]
+    one = Measurement(BAND, full.polar, full.azimuth, values, full.standard_uncertainty)
+    result = fit(scene, one, [free.angle()])
+    assert result.degrees_of_freedom == 0
+    assert "cannot be tested" in " ".join(result.warnings)
+    assert np.degrees(result.estimates["angle"].value) == pytest.approx(60, abs=1e-4)
+
+
+def test_a_smooth_surface_gives_a_limit_only():
+    scene = vc.Scene(vc.BeckmannGrooves(0.03), vc.Specular(GOLD), vc.Diffuse(), vc.View())
+    result = fit(scene, synthetic(scene), [free.roughness(0.02, 0.6)])
+    words = " ".join(result.warnings)
+    assert "upper end as a limit" in words
+    assert "at most" in words
+    assert not result.identifiable
