@@ -92,7 +92,11 @@ class Parameter:
 
     def from_natural(self, coordinate: Any) -> np.ndarray:
         """The inverse of ``natural``, never outside the bounds by rounding."""
-        value = np.exp(coordinate) if self.scale == "log" else np.asarray(coordinate, dtype=np.float64)
+        coordinate = np.asarray(coordinate, dtype=np.float64)
+        value = np.exp(coordinate) if self.scale == "log" else coordinate
+        # Bounds come back exactly: a logarithm and its inverse would leave a point just beside.
+        value = np.where(coordinate <= self.natural(self.lower), self.lower, value)
+        value = np.where(coordinate >= self.natural(self.upper), self.upper, value)
         return np.asarray(np.clip(value, self.lower, self.upper))
 
     def unconstrained(self, value: Any) -> np.ndarray:

@@ -103,7 +103,7 @@ class Problem:
         chi_square, linear, variance = (np.asarray(part[: len(order)][back], np.float64) for part in parts)
         return Evaluation(points, chi_square, linear, variance)
 
-    def fitted_scene(self, values: Sequence[float]) -> Any:
+    def fitted_scene(self, values: Float[np.ndarray, " p"]) -> Any:
         """The scene with the nonlinear parameters put in."""
         dtype = self.data.values.dtype
         return self.place([jnp.asarray(value, dtype) for value in values])

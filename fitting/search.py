@@ -18,8 +18,8 @@ PROMINENCE = 0.1
 """Rounding makes false minima on plateaus; a distinct one stands out by this much in chi-square."""
 
 _PLAIN_POINTS = 201
-# Angle, logarithmic and plain parameters in a product of two or of three axes.
-_PRODUCT_POINTS = {2: (351, 61, 21), 3: (117, 17, 9)}
+# In a product of two or of three axes: steps of an angle and of a logarithm, points of any other.
+_PRODUCT_STEPS = {2: (np.radians(1.0), 0.1, 21), 3: (np.radians(2.0), 0.3, 9)}
 
 Cost = Callable[[np.ndarray], np.ndarray]
 
@@ -45,11 +45,12 @@ def axis(parameter: Parameter, kinks: Float[np.ndarray, " k"]) -> Float[np.ndarr
 
 def product_axes(parameters: Sequence[Parameter]) -> list[Float[np.ndarray, " n"]]:
     """Coarser axes for two or three parameters, whose product is searched."""
-    angle, logarithmic, plain = _PRODUCT_POINTS[len(parameters)]
+    angle, logarithmic, plain = _PRODUCT_STEPS[len(parameters)]
     axes = []
     for p in parameters:
-        count = angle if p.unit == "rad" else logarithmic if p.scale == "log" else plain
         low, high = (float(p.natural(bound)) for bound in (p.lower, p.upper))
+        step = angle if p.unit == "rad" else logarithmic if p.scale == "log" else (high - low) / (plain - 1)
+        count = max(int(np.ceil((high - low) / step - 1e-9)) + 1, plain)
         axes.append(np.asarray(p.from_natural(np.linspace(low, high, count)), dtype=np.float64))
     return axes
 

@@ -33,8 +33,9 @@ def fit(
     """Fit free parameters of a scene to a measurement.
 
     Chi-square, Σ ((measured - gain × model - offset) / σ)² plus the priors, is searched over the whole
-    allowed range (each 0.2 degrees and at every kink for one angle; a product of coarser axes for two or
-    three parameters), its best distinct minima are polished by Levenberg-Marquardt, and each parameter is profiled.
+    allowed range (every 0.2 degrees and at every kink for one angle; a product of coarser axes for two or
+    three parameters). Its best distinct minima are polished by Levenberg-Marquardt, and each parameter is
+    profiled.
     The values of the scene's free parameters do not matter: there is no start to choose.
 
     Args:

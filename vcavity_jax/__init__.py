@@ -4,18 +4,38 @@ from vcavity_jax import materials as materials
 from vcavity_jax.kinks import kink_angles as kink_angles
 from vcavity_jax.reflectance import (
     radiance_profile as radiance_profile,
+)
+from vcavity_jax.reflectance import (
     reflectance_factor as reflectance_factor,
 )
 from vcavity_jax.scene import (
     BeckmannGrooves as BeckmannGrooves,
+)
+from vcavity_jax.scene import (
     Diffuse as Diffuse,
+)
+from vcavity_jax.scene import (
     Directional as Directional,
+)
+from vcavity_jax.scene import (
     Lambertian as Lambertian,
+)
+from vcavity_jax.scene import (
     Mixed as Mixed,
+)
+from vcavity_jax.scene import (
     Scene as Scene,
+)
+from vcavity_jax.scene import (
     Specular as Specular,
+)
+from vcavity_jax.scene import (
     TwoPanels as TwoPanels,
+)
+from vcavity_jax.scene import (
     VGrooves as VGrooves,
+)
+from vcavity_jax.scene import (
     View as View,
 )
 

@@ -5,6 +5,7 @@ tilts the angles of incidence.
 """
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from vcavity_jax.safe import safe_divide
@@ -13,9 +14,19 @@ from vcavity_jax.safe import safe_divide
 def components(
     polar: Float[Array, "*directions"], azimuth: Float[Array, "*directions"]
 ) -> tuple[Float[Array, "*directions"], Float[Array, "*directions"], Float[Array, "*directions"]]:
-    """Cartesian components (e_x along the fold, e_y across the grooves, e_z normal) of directions, in radians."""
+    """Cartesian components of directions in radians: e_x along the fold, e_y across the grooves, e_z normal.
+
+    cos(π/2) is 0 here, not 6e-17: a direction along the fold is then seen alike by both panels, and one at
+    grazing angle is not below the surface.
+    """
     sine = jnp.sin(polar)
-    return sine * jnp.sin(azimuth), sine * jnp.cos(azimuth), jnp.cos(polar)
+    return sine * jnp.sin(azimuth), sine * _cosine(azimuth), _cosine(polar)
+
+
+def _cosine(angle: Float[Array, "..."]) -> Float[Array, "..."]:
+    cosine = jnp.cos(angle)
+    rounding = jnp.where(jnp.abs(cosine) < 4 * jnp.finfo(cosine.dtype).eps, cosine, jnp.zeros_like(cosine))
+    return cosine - lax.stop_gradient(rounding)
 
 
 def panel_share(

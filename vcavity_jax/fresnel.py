@@ -21,8 +21,8 @@ def amplitudes(
     """Amplitude r_s, and κ such that r_p = r_s + κ sin²θ.
 
     With g = √(contrast + cos²θ):  r_s = -contrast / (cos θ + g)²  and
-    κ = 2 contrast / ((g + (1 + contrast) cos θ)(cos θ + g)) [SaintPierre2020, eq. 2.22 and 2.23, rearranged so
-    that nothing cancels for n → 1 and there is no 0/0 at grazing or normal incidence].
+    κ = 2 contrast / ((g + (1 + contrast) cos θ)(cos θ + g)) [SaintPierre2020, eq. 2.22 and 2.23, rearranged:
+    nothing cancels for n → 1, and there is no 0/0 at grazing or normal incidence].
 
     Args:
         cosine: cos of the angle of incidence, 0 to 1.

@@ -34,7 +34,9 @@ def check_tolerance(tolerance: float) -> float:
         ValueError: it is not a positive number below 1, or is traced.
     """
     if isinstance(tolerance, jax.core.Tracer) or not 0 < tolerance < 1:
-        raise ValueError(f"{tolerance} is not a tolerance: expected a plain number between 0 and 1, such as 1e-8")
+        raise ValueError(
+            f"{tolerance} is not a tolerance: expected a plain number between 0 and 1, such as 1e-8"
+        )
     single = not jax.config.read("jax_enable_x64")
     return max(float(tolerance), 1e-6 if single else _ROUNDING)
 

@@ -20,7 +20,7 @@ _PANELS_AT_ONCE = 8
 
 
 def slope_of_angle(angle: Float[Array, "..."], roughness: Float[Array, "..."]) -> Float[Array, "..."]:
-    """u = cot(α/2) / m, the facet slope in units of the roughness."""
+    """U = cot(α/2) / m, the facet slope in units of the roughness."""
     return 1 / (jnp.tan(angle / 2) * jnp.maximum(roughness, floor_of(roughness)))
 
 
@@ -96,7 +96,10 @@ def specular_average(
             u, weight = (jnp.reshape(a, (*a.shape[:-2], -1)) for a in (u, weight))
             value = hemispherical_directional(
                 groove_angle(roughness[..., None], u),
-                *(a[..., None] for a in (along, across, normal, index)),
+                along[..., None],
+                across[..., None],
+                normal[..., None],
+                index[..., None],
                 model,
                 symmetric,
             )

@@ -34,7 +34,7 @@ def _is_plain(value: Any) -> bool:
     return not isinstance(value, jax.Array) or not jnp.issubdtype(value.dtype, jnp.inexact)
 
 
-def _concrete(value: Any) -> np.ndarray | None:
+def concrete(value: Any) -> np.ndarray | None:
     """The value as a NumPy array, or None while JAX traces it (then it cannot be checked)."""
     return None if isinstance(value, jax.core.Tracer) or not eqx.is_array_like(value) else np.asarray(value)
 
@@ -49,7 +49,7 @@ def _refuse(what: str, value: Any, bad: Any, expected: str, hint: str = "") -> N
 
 def _check_direction(polar: Any, azimuth: Any) -> None:
     for name, angle in (("polar angle", polar), ("azimuth", azimuth)):
-        value = _concrete(angle)
+        value = concrete(angle)
         if value is not None:
             limit = np.pi / 2 if name == "polar angle" else 2 * np.pi
             _refuse(
@@ -74,7 +74,7 @@ class VGrooves(eqx.Module):
     angle: Float[Array, ""] = eqx.field(converter=_real)
 
     def __check_init__(self) -> None:
-        value = _concrete(self.angle)
+        value = concrete(self.angle)
         if value is not None:
             _refuse(
                 "a dihedral angle in radians",
@@ -101,7 +101,7 @@ class BeckmannGrooves(eqx.Module):
     roughness: Float[Array, ""] = eqx.field(converter=_real)
 
     def __check_init__(self) -> None:
-        value = _concrete(self.roughness)
+        value = concrete(self.roughness)
         if value is not None:
             _refuse("a Beckmann roughness", value, ~((value >= 0) & np.isfinite(value)), "m ≥ 0")
 
@@ -119,7 +119,7 @@ class Lambertian(eqx.Module):
     reflectance: Float[Array, "*wavelengths"] = eqx.field(converter=_real)
 
     def __check_init__(self) -> None:
-        value = _concrete(self.reflectance)
+        value = concrete(self.reflectance)
         if value is not None:
             _refuse(
                 "a reflectance", value, ~((value >= 0) & (value <= 1)), "0 to 1", ". Did you pass percent?"
@@ -131,9 +131,9 @@ class Specular(eqx.Module):
 
     Args:
         index: n + ik with k ≥ 0 (time factor exp(-iωt)); one number or one per wavelength, shape () or (L,).
-        polarization: "full" follows the polarization exactly through all reflections; "unpolarized" multiplies
-            unpolarized reflectances; "separate" keeps s and p apart without coupling. The last two are the
-            approximations of [SaintPierre2020, eq. 4.34 to 4.41].
+        polarization: "full" follows the polarization exactly through all reflections; "unpolarized"
+            multiplies unpolarized reflectances; "separate" keeps s and p apart without coupling. The last two
+            are the approximations of [SaintPierre2020, eq. 4.34 to 4.41].
 
     Raises:
         ValueError: a known index has k < 0 or n ≤ 0, or the polarization is not one of the three.
@@ -145,7 +145,7 @@ class Specular(eqx.Module):
     def __check_init__(self) -> None:
         if self.polarization not in POLARIZATIONS:
             raise ValueError(f"{self.polarization!r} is not a polarization: expected one of {POLARIZATIONS}")
-        value = _concrete(self.index)
+        value = concrete(self.index)
         if value is not None:
             _refuse(
                 "a refractive index",
@@ -207,7 +207,7 @@ class Mixed(eqx.Module):
     directional: Directional
 
     def __check_init__(self) -> None:
-        value = _concrete(self.diffuse_fraction)
+        value = concrete(self.diffuse_fraction)
         if value is not None:
             _refuse("a diffuse fraction", value, ~((value >= 0) & (value <= 1)), "0 to 1")
 

@@ -8,7 +8,6 @@ Nothing is sampled. docs/specular.md derives it.
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Inexact
@@ -36,7 +35,9 @@ def reflection_shares(
         M (whole numbers, at least 1, without gradient), the aperture's share of M reflections and that of
         M - 1. The four shares of both sides sum to 1.
     """
-    section = jnp.arctan2(side * across, jnp.where((across == 0) & (normal == 0), jnp.ones_like(normal), normal))
+    section = jnp.arctan2(
+        side * across, jnp.where((across == 0) & (normal == 0), jnp.ones_like(normal), normal)
+    )
     first = angle / 2 + section
     both = (jnp.pi - first) / angle
     alone = (jnp.pi - 2 * section) / angle

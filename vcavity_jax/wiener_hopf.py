@@ -60,9 +60,7 @@ def contour(resolution: Resolution) -> Contour:
     weight[0] /= 2
     end = np.arccosh(max(resolution.extent / (0.45 * resolution.smallest_angle), 1.1))
     inner = min(int(np.ceil(end / resolution.step)), len(tau))
-    return Contour(
-        tau, weight, inner, -1j / (tau[:, None] + tau), -1j / (tau[:, None] - tau.conj())
-    )
+    return Contour(tau, weight, inner, -1j / (tau[:, None] + tau), -1j / (tau[:, None] - tau.conj()))
 
 
 def complex_expm1(x: Float[Array, "..."], y: Float[Array, "..."]) -> Complex[Array, "..."]:
@@ -106,7 +104,9 @@ def factorize(
     logarithm = jnp.log(factor)
     weighted = logarithm * inner_weight[:, None]
     rim = jnp.exp(-jnp.sum(weighted / (inner_tau - 0.5j)[:, None], axis=0).imag / jnp.pi)
-    exponent = (cauchy[:, : grid.inner] @ weighted + mirrored[:, : grid.inner] @ weighted.conj()) / (2 * jnp.pi)
+    exponent = (cauchy[:, : grid.inner] @ weighted + mirrored[:, : grid.inner] @ weighted.conj()) / (
+        2 * jnp.pi
+    )
     exponent = exponent.at[: grid.inner].add(-logarithm)
     edge = (weight / (2 * jnp.pi * (0.5 + 1j * tau)))[:, None] * complex_expm1(exponent.real, exponent.imag)
     whole = (inner_weight / (2 * jnp.pi * (0.25 + inner_tau * inner_tau)))[:, None] * (1 - factor) / factor

@@ -114,7 +114,7 @@ def test_nothing_left_to_test():
 
 def test_a_smooth_surface_gives_a_limit_only():
     scene = vc.Scene(vc.BeckmannGrooves(0.03), vc.Specular(GOLD), vc.Diffuse(), vc.View())
-    result = fit(scene, synthetic(scene), [free.roughness(0.02, 0.6)])
+    result = fit(scene, synthetic(scene), [free.roughness(0.02, 0.3)])
     words = " ".join(result.warnings)
     assert "upper end as a limit" in words
     assert "at most" in words

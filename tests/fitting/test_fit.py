@@ -1,0 +1,333 @@
+"""Fits end to end: rendered and real samples with known answers, exact recoveries, coverage, refusals."""
+
+import json
+import warnings
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+import vcavity_jax as vc
+from fitting import Estimate, FitResult, Measurement, fit, free, problem, read_spectrum, solve
+
+DATA = Path(__file__).parents[2] / "examples" / "data"
+BAND = np.array([450.0, 500.0, 550.0, 600.0, 650.0, 700.0])
+RED = np.array([0.08, 0.12, 0.3, 0.55, 0.7, 0.75])
+FAN = np.radians([0.0, 25.0, 50.0, 70.0])
+
+
+def metal(name, wavelengths_nm, polarization="full"):
+    return vc.Specular(vc.materials.refractive_index(name, wavelengths_nm), polarization)
+
+
+def scene_of(surface, material):
+    return vc.Scene(surface, material, vc.Diffuse(), vc.View())
+
+
+def observe(scene, polar=FAN, sigma=0.003, gain=1.0, offset=0.0, noise=None):
+    """Values of the model itself, with noise of the stated uncertainty if a generator is given."""
+    seen = vc.Scene(scene.surface, scene.material, scene.illumination, vc.View(polar, np.zeros(len(polar))))
+    values = np.asarray(vc.reflectance_factor(seen))
+    values = gain * np.broadcast_to(values.reshape(len(polar), -1), (len(polar), len(BAND))) + offset
+    if noise is not None:
+        values = values + sigma * noise.standard_normal(values.shape)
+    return Measurement(BAND, polar, np.zeros(len(polar)), values, np.full(values.shape, sigma))
+
+
+def degrees(estimate: Estimate) -> float:
+    return float(np.degrees(estimate.value))
+
+
+def assert_recovered(result: FitResult, truth_deg: float) -> None:
+    """Within four standard errors and 0.3 degrees, at the noise that the file states."""
+    angle = result.estimates["angle"]
+    assert result.status == "converged"
+    assert result.identifiable
+    assert abs(degrees(angle) - truth_deg) < min(0.3, 4 * np.degrees(angle.standard_error))
+    assert 0.7 < result.chi_square / result.degrees_of_freedom < 1.3
+    low, high = angle.interval_95[0]
+    assert low < angle.value < high
+    assert np.degrees(high - low) < 1
+
+
+@pytest.fixture(scope="module")
+def gold() -> FitResult:
+    m = Measurement.read(DATA / "gold-v45.csv")
+    return fit(scene_of(vc.VGrooves(2.0), metal("Au-Johnson", m.wavelengths_nm)), m, [free.angle()])
+
+
+def test_rendered_gold(gold):
+    assert_recovered(gold, 45)
+    # 45 degrees is 180/4: the frontal view's number of reflections changes there.
+    assert gold.estimates["angle"].at_kink
+    assert np.degrees(gold.scene.surface.angle) == pytest.approx(degrees(gold.estimates["angle"]))
+    assert gold.rms_misfit == pytest.approx(np.sqrt(np.mean(gold.residuals**2)))
+    measured = gold.measurement.reflectance_factor
+    assert np.allclose(gold.predicted + gold.residuals, measured, rtol=0, atol=1e-15)
+    assert gold.chi_square == pytest.approx(np.sum((gold.residuals / 0.003) ** 2), rel=1e-9)
+
+
+def test_unpolarized_products_describe_gold_visibly_worse(gold):
+    m = gold.measurement
+    scene = scene_of(vc.VGrooves(2.0), metal("Au-Johnson", m.wavelengths_nm, "unpolarized"))
+    result = fit(scene, m, [free.angle()])
+    assert result.chi_square > 3 * gold.chi_square
+    assert "does not describe this spectrum" in " ".join(result.warnings)
+    assert "standard errors are not to be trusted" in result.summary()
+
+
+def test_rendered_copper():
+    m = Measurement.read(DATA / "copper-v70.csv")
+    assert_recovered(
+        fit(scene_of(vc.VGrooves(1.0), metal("Cu-Johnson", m.wavelengths_nm)), m, [free.angle()]), 70
+    )
+
+
+def test_rendered_matte_orange():
+    m = Measurement.read(DATA / "orange-v60.csv")
+    wavelengths, reflectance, _ = read_spectrum(DATA / "flat-orange.csv")
+    assert np.array_equal(wavelengths, m.wavelengths_nm)
+    assert_recovered(fit(scene_of(vc.VGrooves(1.0), vc.Lambertian(reflectance)), m, [free.angle()]), 60)
+
+
+@pytest.mark.parametrize(
+    ("sample", "index", "roughness", "rms", "good"),
+    [
+        ("nickel", "Ni-Johnson", 0.50, 0.008, True),
+        pytest.param("titanium", "Ti-Johnson", 1.66, 0.02, True, marks=pytest.mark.slow),
+        pytest.param("copper", "Cu-Johnson", 0.81, 0.045, False, marks=pytest.mark.slow),
+    ],
+)
+def test_real_metals(sample, index, roughness, rms, good):
+    path = DATA / "metals-nasa-tn-d-5353.csv"
+    m = Measurement.read(path, column=sample).select(wavelengths_nm=(390.0, 800.0))
+    scene = scene_of(vc.BeckmannGrooves(0.3), metal(index, m.wavelengths_nm))
+    result = fit(scene, m, [free.roughness()], standard_uncertainty=0.02)
+    assert result.status == "converged"
+    assert result.estimates["roughness"].value == pytest.approx(roughness, abs=0.02)
+    assert result.rms_misfit == pytest.approx(rms, rel=0.15)
+    assert ("does not describe" in " ".join(result.warnings)) != good
+
+
+def test_gain_and_offset_are_recovered_exactly():
+    scene = scene_of(vc.VGrooves(np.radians(63.0)), metal("Cu-Johnson", BAND))
+    m = observe(scene, gain=1.07, offset=-0.012)
+    result = fit(scene, m, [free.offset(None), free.angle(), free.gain(None)])
+    assert list(result.estimates) == ["angle", "gain", "offset"]
+    assert degrees(result.estimates["angle"]) == pytest.approx(63, abs=1e-6)
+    assert result.estimates["gain"].value == pytest.approx(1.07, abs=1e-7)
+    assert result.estimates["offset"].value == pytest.approx(-0.012, abs=1e-7)
+    assert result.chi_square < 1e-9
+    for name in ("gain", "offset"):
+        estimate = result.estimates[name]
+        ((low, high),) = estimate.interval_95
+        # Away from kinks the profile is close to a parabola of the Gauss-Newton width.
+        assert (high - low) / (2 * 1.96 * estimate.standard_error) == pytest.approx(1, abs=0.3)
+        values, cost = result.profiles[name]
+        assert np.interp(low, values, cost) == pytest.approx(3.84, abs=0.15)
+
+
+def test_a_prior_pulls():
+    scene = scene_of(vc.VGrooves(np.radians(63.0)), metal("Cu-Johnson", BAND))
+    m = observe(scene, gain=1.07, offset=-0.012)
+    free_gain = fit(scene, m, [free.angle(), free.gain(None), free.offset(None)])
+    held = fit(scene, m, [free.angle(), free.gain(), free.offset()])
+    assert held.degrees_of_freedom == free_gain.degrees_of_freedom + 2
+    assert 1 < held.estimates["gain"].value < 1.07
+    assert held.chi_square > free_gain.chi_square + 1
+    assert held.estimates["gain"].standard_error < 0.01
+
+
+@pytest.mark.parametrize("material", ["metal", "matte"])
+def test_noiseless_angles_are_recovered_everywhere(material):
+    """Random angles, and exact kinks, of one kind of scene: compiled once."""
+    panels = metal("Cu-Johnson", BAND) if material == "metal" else vc.Lambertian(RED)
+    random = np.degrees(np.random.default_rng(5).uniform(np.radians(12), np.radians(170), 8))
+    kinks = [45.0, 60.0, 90.0, 50.0, 100.0] if material == "metal" else [50.0, 100.0]
+    random = random if material == "metal" else random[:2]
+    for truth in [*random, *kinks]:
+        scene = scene_of(vc.VGrooves(np.radians(truth)), panels)
+        result = fit(scene, observe(scene), [free.angle(8, 178)])
+        assert degrees(result.estimates["angle"]) == pytest.approx(truth, abs=2e-5), truth
+        assert result.chi_square < 1e-6
+        assert not any(w.startswith("the model gave no number") for w in result.warnings)
+
+
+def test_two_parameters_of_the_scene():
+    scene = scene_of(vc.VGrooves(np.radians(70.0)), vc.Lambertian(0.4))
+    reflectance = free.parameter("reflectance", lambda s: s.material.reflectance, 0.02, 0.98)
+    m = observe(scene, np.radians([0.0, 60.0, 80.0]), noise=np.random.default_rng(1))
+    result = fit(scene, m, [free.angle(30, 120), reflectance])
+    assert result.status == "converged"
+    for name, truth in (("angle", np.radians(70)), ("reflectance", 0.4)):
+        estimate = result.estimates[name]
+        assert abs(estimate.value - truth) < 4 * estimate.standard_error
+        ((low, high),) = estimate.interval_95
+        assert (high - low) / (2 * 1.96 * estimate.standard_error) == pytest.approx(1, abs=0.2)
+    assert -1 < result.correlation[0, 1] < 1
+    assert len(result.singular_values) == 2
+
+
+def test_missing_values_are_left_out():
+    scene = scene_of(vc.VGrooves(np.radians(63.0)), metal("Cu-Johnson", BAND))
+    m = observe(scene)
+    values = m.reflectance_factor.copy()
+    values[1, 2] = np.nan
+    gappy = Measurement(BAND, m.polar, m.azimuth, values, m.standard_uncertainty)
+    result = fit(scene, gappy, [free.angle()])
+    assert result.degrees_of_freedom == values.size - 2
+    assert np.isnan(result.residuals[1, 2])
+    assert np.isfinite(result.predicted).all()
+    assert degrees(result.estimates["angle"]) == pytest.approx(63, abs=1e-6)
+
+
+def test_an_unknown_uncertainty_is_estimated():
+    scene = scene_of(vc.VGrooves(np.radians(63.0)), metal("Cu-Johnson", BAND))
+    m = observe(scene, noise=np.random.default_rng(2))
+    silent = Measurement(BAND, m.polar, m.azimuth, m.reflectance_factor)
+    result = fit(scene, silent, [free.angle(), free.gain()])
+    assert result.uncertainty_estimated
+    assert result.chi_square == pytest.approx(result.degrees_of_freedom, rel=1e-2)
+    assert result.rms_misfit == pytest.approx(0.003, rel=0.5)
+    assert "states no uncertainty" in " ".join(result.warnings)
+    given = fit(scene, silent, [free.angle(), free.gain()], standard_uncertainty=0.003)
+    assert not given.uncertainty_estimated
+    assert given.estimates["angle"].value == pytest.approx(result.estimates["angle"].value, abs=1e-4)
+
+
+def test_several_minima_are_all_reported():
+    # In one color, seen at 60 degrees, three angles of a dielectric groove give the same value exactly.
+    scene = scene_of(vc.VGrooves(np.radians(75.0)), vc.Specular(np.full(6, 3.0 + 0.0j)))
+    m = observe(scene, np.radians([60.0]), sigma=0.004)
+    result = fit(scene, m, [free.angle(10, 175)])
+    found = sorted(minimum.values["angle"] for minimum in result.minima)
+    assert np.degrees(found) == pytest.approx([75.0, 123.06, 149.31], abs=0.01)
+    assert max(minimum.chi_square for minimum in result.minima) < 1e-6
+    for value in found:
+        again = fit(scene, m, [free.angle(np.degrees(value) - 2, np.degrees(value) + 2)])
+        assert again.estimates["angle"].value == pytest.approx(value, abs=1e-6)
+    assert len(result.estimates["angle"].interval_95) == 2
+    assert "3 distinct minima" in " ".join(result.warnings)
+    assert "minima: angle" in result.summary()
+
+
+def test_json_has_the_promised_form(gold, tmp_path):
+    path = tmp_path / "fit.json"
+    gold.to_json(path)
+
+    def refuse(word):
+        raise AssertionError(word)
+
+    content = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+    assert content == json.loads(json.dumps(gold.to_dict()))
+    assert content["status"] == "converged"
+    assert content["identifiable"] is True
+    assert content["version"] == vc.__version__
+    angle = content["parameters"]["angle"]
+    assert angle["unit"] == "deg"
+    assert angle["value"] == pytest.approx(45, abs=0.3)
+    assert angle["interval_95"][0][0] < angle["value"] < angle["interval_95"][0][1]
+    assert set(angle) == {"value", "unit", "standard_error", "interval_95", "at_bound", "at_kink"}
+    assert content["minima"][0]["parameters"]["angle"] == angle["value"]
+    assert content["scene"]["surface"] == {"type": "VGrooves", "angle_deg": angle["value"]}
+    assert content["scene"]["view"]["polar_deg"][0] == 0
+
+
+def test_summary_reads_well(gold):
+    first, second = gold.summary().splitlines()[:2]
+    assert first.split() == ["parameter", "value", "std.", "error", "95", "%", "interval"]
+    assert second.startswith("angle")
+    assert " deg " in second
+    assert "±" in second
+
+
+def test_profile_closes_around_the_minimum(gold):
+    values, cost = gold.profiles["angle"]
+    assert np.all(np.diff(values) > 0)
+    assert cost.min() == pytest.approx(gold.chi_square, abs=1e-9)
+    ((low, high),) = gold.estimates["angle"].interval_95
+    assert np.interp([low, high], values, cost) - gold.chi_square == pytest.approx([3.84, 3.84], abs=0.02)
+
+
+def orange_like() -> tuple[vc.Scene, Measurement]:
+    scene = scene_of(vc.VGrooves(1.0), vc.Lambertian(RED))
+    return scene, observe(scene, np.zeros(1))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ([], "no parameter of the scene is free"),
+        ([free.gain()], "no parameter of the scene is free"),
+        ([free.roughness()], "'roughness': its place is not in this scene"),
+        ([free.parameter("x", lambda s: s.nothing, 0, 1)], "'x': its place is not in this scene"),
+        ([free.parameter("r", lambda s: s.material.reflectance, 0, 1)], r"shape \(6,\)"),
+        ([free.parameter("m", lambda s: s.material, 0, 1)], "holds a Lambertian"),
+        ([free.angle(), free.angle(20)], "given twice"),
+        ([free.angle(), free.parameter("a", lambda s: s.surface.angle, 1, 2)], "the same number"),
+        ([free.parameter("a", lambda s: s.surface.angle, 1, 4)], "at its bound: 4 is not a dihedral angle"),
+        ([free.parameter(f"p{i}", lambda s: s.surface.angle, 1, 2) for i in range(4)], "expected at most 3"),
+    ],
+)
+def test_unusable_parameters_are_refused(parameters, message):
+    scene, m = orange_like()
+    with pytest.raises(ValueError, match=message) as caught:
+        fit(scene, m, parameters)
+    assert "\n" not in str(caught.value)
+
+
+def test_unusable_measurements_are_refused():
+    scene, m = orange_like()
+    empty = Measurement(BAND, m.polar, m.azimuth, np.full((1, 6), np.nan))
+    with pytest.raises(ValueError, match="holds no value"):
+        fit(scene, empty, [free.angle()])
+    lit = vc.Scene(scene.surface, scene.material, vc.Directional(0.3), vc.View())
+    with pytest.raises(ValueError, match=r"lit by Directional\(0.3, 0\), the measurement by Diffuse\(\)"):
+        fit(lit, m, [free.angle()])
+    short = vc.Scene(scene.surface, vc.Lambertian(RED[:4]), vc.Diffuse(), vc.View())
+    with pytest.raises(ValueError, match=r"wavelength shape \(4,\), the measurement 6 wavelengths"):
+        fit(short, m, [free.angle()])
+    one = Measurement(BAND[:1], m.polar, m.azimuth, m.reflectance_factor[:, :1])
+    gray = vc.Scene(scene.surface, vc.Lambertian(0.3), vc.Diffuse(), vc.View())
+    with pytest.raises(ValueError, match="1 measured values for 3 free parameters"):
+        fit(gray, one, [free.angle(), free.gain(None), free.offset(None)])
+    for bad in (0.0, -0.01, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="expected one positive number"):
+            fit(scene, m, [free.angle()], standard_uncertainty=bad)
+    with pytest.raises(ValueError, match="expected a whole number"):
+        fit(scene, m, [free.angle()], max_steps=0)
+
+
+def test_float32_is_said_once(monkeypatch):
+    monkeypatch.setattr(solve, "_warned_of_float32", False)
+    with jax.enable_x64(False):
+        with pytest.warns(UserWarning, match="float32"):
+            solve._warn_of_float32()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            solve._warn_of_float32()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("truth_deg", [63.0, 90.0])
+def test_profile_intervals_cover_the_truth(truth_deg):
+    """200 replicates, truth away from kinks and on one: 90 to 99 %, three binomial errors around 95 %."""
+    scene = scene_of(vc.VGrooves(np.radians(truth_deg)), metal("Au-Johnson", BAND))
+    random = np.random.default_rng(20240607)
+    covered = 0
+    for _ in range(200):
+        result = fit(scene, observe(scene, np.zeros(1), sigma=0.005, noise=random), [free.angle(50, 125)])
+        pieces = result.estimates["angle"].interval_95
+        covered += any(low <= np.radians(truth_deg) <= high for low, high in pieces)
+    assert 180 <= covered <= 198
+
+
+def test_programs_are_kept_between_fits():
+    scene, m = orange_like()
+    first = problem.build(scene, m, [free.angle()], None, 1e-8)
+    moved = vc.Scene(vc.VGrooves(0.7), scene.material, vc.Diffuse(), vc.View())
+    again = problem.build(moved, m, [free.angle(20, 90)], 0.01, 1e-8)
+    other = problem.build(scene, m, [free.angle(), free.gain()], None, 1e-8)
+    assert first.programs is again.programs
+    assert first.programs is not other.programs

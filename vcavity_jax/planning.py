@@ -1,0 +1,134 @@
+"""What a scene needs, decided before it is traced: only that is computed.
+
+Planning looks at what is known when a function is called. A view that is known to be frontal, an index that
+is known to be real, panels that are known to be fully lit and seen: each drops a part of the model. What JAX
+traces is treated in full generality.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from vcavity_jax import resolution
+from vcavity_jax.lambertian import MeanResolution
+from vcavity_jax.scene import (
+    Directional,
+    Mixed,
+    Polarization,
+    Scene,
+    Specular,
+    VGrooves,
+    concrete,
+)
+from vcavity_jax.wiener_hopf import Resolution
+
+_CLEARLY_VISIBLE = 0.01
+"""A lit or seen part of a panel above which its rim layer needs no extra care."""
+
+_ROUGHEST = 10.0
+"""The roughness that the work is planned for when it is not known."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """What a scene needs, fixed before it is traced.
+
+    Args:
+        open: every panel is known to be fully lit and fully seen.
+        balanced: light or view is known to meet both panels alike, so that one parity is enough.
+        symmetric: every view is known to lie in the plane along the grooves.
+        model: treatment of polarization that is exact for what the user asked.
+        mean: sampling for G.
+        step: sampling for shadows and masks.
+        order: nodes per panel of an average over groove angles.
+        cutoff: its largest slope.
+        most: orders of kinks that it resolves.
+    """
+
+    open: bool
+    balanced: bool
+    symmetric: bool
+    model: Polarization
+    mean: MeanResolution
+    step: Resolution
+    order: int
+    cutoff: float
+    most: int
+
+
+def _known_directions(scene: Scene) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]] | None:
+    """Components of the view, then of the light if it is directional; None where one of them is traced."""
+    light = scene.illumination.directional if isinstance(scene.illumination, Mixed) else scene.illumination
+    pairs = [(scene.view.polar, scene.view.azimuth)]
+    if isinstance(light, Directional):
+        pairs.append((light.polar, light.azimuth))
+    known = []
+    for polar, azimuth in pairs:
+        theta, phi = concrete(polar), concrete(azimuth)
+        if theta is None or phi is None:
+            return None
+        known.append((np.sin(theta) * np.sin(phi), np.sin(theta) * np.cos(phi), np.cos(theta)))
+    return known
+
+
+def plan(scene: Scene, tolerance: float) -> Plan:
+    """The least work that keeps the tolerance for a scene."""
+    tolerance = resolution.check_tolerance(tolerance)
+    cutoff = resolution.slope_cutoff(tolerance)
+    directions = _known_directions(scene)
+    in_fold_plane = [bool(np.all(np.abs(y) < 1e-15)) for _, y, _ in directions] if directions else [False]
+    angle: float | None = None
+    most = 0
+    if isinstance(scene.surface, VGrooves):
+        value = concrete(scene.surface.angle)
+        angle = None if value is None else float(np.min(value))
+    else:
+        value = concrete(scene.surface.roughness)
+        rough = _ROUGHEST if value is None else max(float(np.max(value)), 1e-3)
+        angle = 2 * float(np.arctan2(1, rough * cutoff))
+        # A coarse ladder of orders keeps the number of compiled programs small.
+        most = 2 ** int(np.ceil(np.log2(2 * np.pi / angle + 1)))
+    visible: float | None = None
+    fully = False
+    if directions is not None:
+        fully = all(in_fold_plane)
+        if angle is not None:
+            reach = [np.abs(y) * np.cos(angle / 2) - z * np.sin(angle / 2) for _, y, z in directions]
+            if isinstance(scene.surface, VGrooves):
+                fully = fully or bool(max(np.max(r) for r in reach) <= 0)
+            narrowest = resolution.planned_angle(angle)
+            s, c = np.sin(narrowest / 2), np.cos(narrowest / 2)
+            visible = min(float(np.min(2 * z * s / (np.abs(y) * c + z * s))) for _, y, z in directions)
+            # Two cases only: every one is compiled for itself. Beyond, the rim layer is treated in full.
+            visible = _CLEARLY_VISIBLE if visible >= _CLEARLY_VISIBLE else None
+    model: Polarization = "full"
+    if isinstance(scene.material, Specular):
+        model = scene.material.polarization
+        across_only = directions is not None and bool(np.all(np.abs(directions[0][0]) < 1e-15))
+        if model == "full" and across_only:
+            model = "separate"  # Without a component along the fold nothing couples s and p.
+    return Plan(
+        open=fully,
+        balanced=any(in_fold_plane),
+        symmetric=in_fold_plane[0],
+        model=model,
+        mean=resolution.mean_resolution(tolerance, angle),
+        step=resolution.step_resolution(tolerance, angle, visible),
+        order=resolution.panel_order(tolerance),
+        cutoff=cutoff,
+        most=most,
+    )
+
+
+def with_safe_index(scene: Scene) -> Scene:
+    """A real index stays real only where it is known to be at least 1; below, refraction may be complex."""
+    if not isinstance(scene.material, Specular) or jnp.iscomplexobj(scene.material.index):
+        return scene
+    value = concrete(scene.material.index)
+    if value is not None and bool(np.all(value >= 1)):
+        return scene
+    index = scene.material.index
+    return eqx.tree_at(lambda s: s.material.index, scene, jax.lax.complex(index, jnp.zeros_like(index)))
