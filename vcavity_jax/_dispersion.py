@@ -1,7 +1,7 @@
 """Dispersion: n or k as a function of wavelength, from a table or a formula of refractiveindex.info.
 
 References:
-    [Polyanskiy 2024] M. N. Polyanskiy, Refractiveindex.info database of optical constants,
+    [Polyanskiy2024] M. N. Polyanskiy, Refractiveindex.info database of optical constants,
     Sci. Data 11, 94 (2024), and the document "Dispersion formulas" of that database.
 """
 

@@ -10,7 +10,9 @@ from jaxtyping import Array, Float
 from vcavity_jax.scene import Directional, Mixed, Scene, Specular, VGrooves
 
 
-def reflection_kinks(section: Float[Array, "..."], most: int) -> Float[Array, "... kinks"]:
+def reflection_kinks(
+    section: Float[Array, "..."], most: int, symmetric: bool = False
+) -> Float[Array, "... kinks"]:
     """Dihedral angles at which a number of reflections or a visible panel changes.
 
     {2|θ'|}, {(π ± 2θ')/k} and {(π ± θ')/(k - 1/2)} for k = 1 ... most; some may lie outside (0, π].
@@ -18,17 +20,14 @@ def reflection_kinks(section: Float[Array, "..."], most: int) -> Float[Array, ".
     Args:
         section: θ', the direction's angle from the normal in the cross-section, radians.
         most: how many orders k to list.
+        symmetric: θ' is known to be 0, so that the pairs coincide: list each once.
     """
     section = section[..., None]
     order = jnp.arange(1, most + 1, dtype=section.dtype)
-    pi = jnp.pi
-    families = [
-        (pi - 2 * section) / order,
-        (pi + 2 * section) / order,
-        (pi - section) / (order - 0.5),
-        (pi + section) / (order - 0.5),
-    ]
-    return jnp.concatenate([2 * jnp.abs(section), *families], axis=-1)
+    families = [2 * jnp.abs(section)]
+    for sign in (1,) if symmetric else (1, -1):
+        families += [(jnp.pi + sign * 2 * section) / order, (jnp.pi + sign * section) / (order - 0.5)]
+    return jnp.concatenate(families, axis=-1)
 
 
 def kink_angles(scene: Scene, lower: float, upper: float) -> np.ndarray:

@@ -6,6 +6,7 @@ Scenes whose panels are fully lit and fully seen need G alone, one real sum. doc
 
 import dataclasses
 from functools import lru_cache
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,27 +25,42 @@ class MeanResolution:
         step: spacing in asinh(2τ).
         reach: largest asinh(2τ).
         symbol_step: spacing of the symbol's own sum.
-        symbol_reach: its end.
+        symbol_reach: its end where the symbol is summed along the real line.
+        shifted_reach: its end where it is summed along the shifted one.
     """
 
     step: float
     reach: float
     symbol_step: float
     symbol_reach: float
+    shifted_reach: float
 
 
-_OSCILLATING = 8.0
+OSCILLATING = 8.0
 """τ beyond which the symbol is summed on a shifted path, where it decays instead of oscillating."""
+
+SHIFT = np.pi / 4
+"""How far that path is shifted: half way to the nearest singularity."""
+
+
+class _MeanNodes(NamedTuple):
+    tau: np.ndarray
+    weight: np.ndarray
+    slow: int
+    w: np.ndarray
+    w_weight: np.ndarray
+    z: np.ndarray
 
 
 @lru_cache(maxsize=64)
-def _mean_nodes(resolution: MeanResolution) -> tuple[np.ndarray, np.ndarray, int, np.ndarray, np.ndarray]:
+def _mean_nodes(resolution: MeanResolution) -> _MeanNodes:
     x = np.arange(int(np.ceil(resolution.reach / resolution.step)) + 1) * resolution.step
     tau, weight = np.sinh(x) / 2, 2 * resolution.step / (np.pi * np.cosh(x))
     w = np.arange(int(np.ceil(resolution.symbol_reach / resolution.symbol_step)) + 1) * resolution.symbol_step
-    symbol_weight = np.full(len(w), resolution.symbol_step)
-    weight[0], symbol_weight[0] = weight[0] / 2, symbol_weight[0] / 2
-    return tau, weight, int(np.sum(tau <= _OSCILLATING)), w, symbol_weight
+    w_weight = np.full(len(w), resolution.symbol_step)
+    weight[0], w_weight[0] = weight[0] / 2, w_weight[0] / 2
+    z = w[: int(np.ceil(resolution.shifted_reach / resolution.symbol_step)) + 1] + 1j * SHIFT
+    return _MeanNodes(tau, weight, int(np.sum(tau <= OSCILLATING)), w, w_weight, z)
 
 
 def mean_response(
@@ -59,31 +75,29 @@ def mean_response(
         kappa: -1 to 1, shape (K,).
         resolution: see ``resolution.mean_resolution``.
     """
-    tau_nodes, weight_nodes, split, w_nodes, wide = _mean_nodes(resolution)
+    nodes = _mean_nodes(resolution)
     dtype = kappa.dtype
-    tau, weight = jnp.asarray(tau_nodes, dtype), jnp.asarray(weight_nodes, dtype)
+    tau, weight = jnp.asarray(nodes.tau, dtype), jnp.asarray(nodes.weight, dtype)
     s = jnp.sin(angle / 2)
     squared_cosine = jnp.cos(angle / 2) ** 2
-    sinh = s * jnp.asarray(np.sinh(w_nodes), dtype)
+    sinh = s * jnp.asarray(np.sinh(nodes.w), dtype)
     root = jnp.sqrt(1 + sinh * sinh)
-    measure = squared_cosine * jnp.asarray(wide / np.cosh(w_nodes) ** 2, dtype) / root
+    measure = squared_cosine * jnp.asarray(nodes.w_weight / np.cosh(nodes.w) ** 2, dtype) / root
     t = 2 * jnp.arcsinh(sinh)
     smooth = s * s + jnp.sum(measure * sinh * sinh / (1 + root))
-    slow = smooth + 2 * jnp.sin(tau[:split, None] * t / 2) ** 2 @ measure
-    parts = [slow]
-    if split < len(tau_nodes):
-        z = w_nodes + 0.25j * np.pi
+    parts = [smooth + 2 * jnp.sin(tau[: nodes.slow, None] * t / 2) ** 2 @ measure]
+    if nodes.slow < len(nodes.tau):
         complex_dtype = jnp.result_type(lax.complex(s, s))
-        shifted = s.astype(complex_dtype) * jnp.asarray(np.sinh(z), complex_dtype)
+        shifted = s.astype(complex_dtype) * jnp.asarray(np.sinh(nodes.z), complex_dtype)
         root = jnp.sqrt(1 + shifted * shifted)
-        density = jnp.asarray(wide / np.cosh(z) ** 2, complex_dtype) / root
+        density = jnp.asarray(nodes.w_weight[: len(nodes.z)] / np.cosh(nodes.z) ** 2, complex_dtype) / root
         t_complex = 2 * jnp.log(shifted + root)
-        phase = tau[split:, None] * t_complex.real
-        wave = jnp.exp(-tau[split:, None] * t_complex.imag)
+        phase = tau[nodes.slow :, None] * t_complex.real
+        wave = jnp.exp(-tau[nodes.slow :, None] * t_complex.imag)
         decaying = (wave * jnp.cos(phase)) @ density.real - (wave * jnp.sin(phase)) @ density.imag
         parts.append(1 - squared_cosine * decaying)
-    complement = jnp.concatenate(parts)
-    return jnp.exp(-(weight @ jnp.log((1 - kappa) + kappa * complement[:, None])))
+    complement = jnp.concatenate(parts)[:, None]
+    return jnp.exp(-jnp.sum(weight[:, None] * jnp.log((1 - kappa) + kappa * complement), axis=0))
 
 
 def symbol_complement(angle: Float[Array, ""], resolution: Resolution) -> Complex[Array, " inner"]:

@@ -59,7 +59,7 @@ class Plan:
     most: int
 
 
-def _known_directions(scene: Scene) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]] | None:
+def _known_directions(scene: Scene) -> list[tuple[np.ndarray, ...]] | None:
     """Components of the view, then of the light if it is directional; None where one of them is traced."""
     light = scene.illumination.directional if isinstance(scene.illumination, Mixed) else scene.illumination
     pairs = [(scene.view.polar, scene.view.azimuth)]
@@ -70,7 +70,8 @@ def _known_directions(scene: Scene) -> list[tuple[np.ndarray, np.ndarray, np.nda
         theta, phi = concrete(polar), concrete(azimuth)
         if theta is None or phi is None:
             return None
-        known.append((np.sin(theta) * np.sin(phi), np.sin(theta) * np.cos(phi), np.cos(theta)))
+        parts = np.sin(theta) * np.sin(phi), np.sin(theta) * np.cos(phi), np.cos(theta)
+        known.append(tuple(np.atleast_1d(part) for part in parts))
     return known
 
 

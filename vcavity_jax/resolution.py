@@ -9,14 +9,13 @@ import math
 import jax
 import numpy as np
 
-from vcavity_jax.lambertian import MeanResolution
+from vcavity_jax.lambertian import OSCILLATING, SHIFT, MeanResolution
 from vcavity_jax.wiener_hopf import Resolution
 
 NARROWEST = math.radians(0.1)
 """The smallest dihedral angle that the work is planned for when it is not known."""
 
 _PLANNED = tuple(math.radians(degrees) for degrees in (0.1, 1.0, 4.5, 14.0, 40.0))
-_FINEST = 1e-18
 _ROUNDING = 1e-13
 
 
@@ -28,17 +27,16 @@ def planned_angle(angle: float | None) -> float:
 
 
 def check_tolerance(tolerance: float) -> float:
-    """The tolerance that can be kept: not below the rounding of the numbers in use.
+    """The tolerance to plan for: in single precision no finer than its rounding.
 
     Raises:
-        ValueError: it is not a positive number below 1, or is traced.
+        ValueError: it is not a plain number from 1e-13 to 1.
     """
-    if isinstance(tolerance, jax.core.Tracer) or not 0 < tolerance < 1:
+    if isinstance(tolerance, jax.core.Tracer) or not _ROUNDING <= tolerance < 1:
         raise ValueError(
-            f"{tolerance} is not a tolerance: expected a plain number between 0 and 1, such as 1e-8"
+            f"{tolerance} is not a tolerance that can be kept: expected a plain number from 1e-13 to 1"
         )
-    single = not jax.config.read("jax_enable_x64")
-    return max(float(tolerance), 1e-6 if single else _ROUNDING)
+    return float(tolerance) if jax.config.read("jax_enable_x64") else max(float(tolerance), 1e-6)
 
 
 def mean_resolution(tolerance: float, angle: float | None) -> MeanResolution:
@@ -49,12 +47,19 @@ def mean_resolution(tolerance: float, angle: float | None) -> MeanResolution:
         angle: the smallest dihedral angle, radians, or None if unknown.
     """
     smallest = planned_angle(angle)
-    digits = -math.log(max(0.1 * tolerance * min(1.0, smallest) ** 2.3, _FINEST))
+    narrow, demand = math.log(_PLANNED[-1] / smallest), -math.log(tolerance)
+    digits = 12.5 + 1.1 * narrow + (0.68 + 0.045 * narrow) * max(demand - 6.9, 0)
+    step, reach = 4.4 / digits, 0.62 * digits
+    # Along the shifted path the symbol decays the more slowly, the narrower the groove.
+    w = np.arange(0, reach, step)
+    t = 2 * np.arcsinh(math.sin(smallest / 2) * np.sinh(w + 1j * SHIFT))
+    left = 2 * np.logaddexp(w, -w) - 2 * math.log(2) + OSCILLATING * t.imag
     return MeanResolution(
         step=8.0 / digits,
         reach=min(math.asinh(2 * 1.2 * digits / smallest), 12.5),
-        symbol_step=4.4 / digits,
-        symbol_reach=0.62 * digits,
+        symbol_step=step,
+        symbol_reach=reach,
+        shifted_reach=float(w[left < digits][-1]) if np.any(left < digits) else step,
     )
 
 
@@ -67,17 +72,14 @@ def step_resolution(tolerance: float, angle: float | None, visible: float | None
         visible: the smallest lit or seen part of a panel, or None if unknown; near 0 the rim layer matters.
     """
     smallest = planned_angle(angle)
-    scale = 0.1 * tolerance
-    difficulty = 0.7 * (math.pi / 4 / smallest) ** 2
-    digits = -math.log(scale / difficulty)
-    narrow = math.log1p(0.1 / smallest)
-    reach = -math.log(scale) + 2 * narrow
+    narrow, demand = math.log(_PLANNED[-1] / smallest), -math.log(tolerance)
+    reach = demand + 3 + 2 * math.log1p(0.1 / smallest)
     if visible is not None:
-        reach = min(reach, (-math.log(scale) - math.log(max(visible, 1e-30))) / 2 + 1 + 2 * narrow)
+        reach = min(reach, (reach - math.log(max(visible, 1e-30))) / 2)
     return Resolution(
-        step=3.0 / digits,
+        step=(3.6 + 0.6 * math.exp(-1.5 * narrow)) / (demand + 7.6 + 0.6 * narrow + 0.17 * narrow**2),
         reach=float(np.ceil(reach)),
-        extent=-math.log(scale) + 4,
+        extent=demand + 5,
         smallest_angle=smallest,
     )
 

@@ -18,6 +18,9 @@ from vcavity_jax.specular import hemispherical_directional
 
 _PANELS_AT_ONCE = 8
 
+_WIDE_PANELS = 16
+"""How many panels, those of the widest grooves, get the full order; the many narrow ones need 0.6 of it."""
+
 
 def slope_of_angle(angle: Float[Array, "..."], roughness: Float[Array, "..."]) -> Float[Array, "..."]:
     """U = cot(α/2) / m, the facet slope in units of the roughness."""
@@ -77,7 +80,7 @@ def specular_average(
         # The integrand is continuous, so moving panel ends add nothing to the derivative.
         m, y, z = (lax.stop_gradient(a) for a in (roughness, across, normal))
         section = jnp.arctan2(y, jnp.where((y == 0) & (z == 0), jnp.ones_like(z), z))
-        kinks = reflection_kinks(section, most)
+        kinks = reflection_kinks(section, most, symmetric)
         inside = (kinks > 0) & (kinks < jnp.pi)
         ends = jnp.where(
             inside, slope_of_angle(jnp.where(inside, kinks, jnp.ones_like(kinks)), m[..., None]), cutoff
@@ -89,34 +92,38 @@ def specular_average(
         ends = jnp.concatenate([ends, padding], axis=-1)
         panels = ends.shape[-1] - 1
 
-        def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-            first, total = carry
-            chunk = lax.dynamic_slice_in_dim(ends, first, _PANELS_AT_ONCE + 1, axis=-1)
-            u, weight = panel_nodes(chunk[..., :-1], chunk[..., 1:], order)
-            u, weight = (jnp.reshape(a, (*a.shape[:-2], -1)) for a in (u, weight))
-            value = hemispherical_directional(
-                groove_angle(roughness[..., None], u),
-                along[..., None],
-                across[..., None],
-                normal[..., None],
-                index[..., None],
-                model,
-                symmetric,
-            )
-            return first + _PANELS_AT_ONCE, total + jnp.sum(weight * value, axis=-1)
+        def add_panels(first: int, last: int, nodes: int, total: Array) -> Array:
+            def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+                start, total = carry
+                chunk = lax.dynamic_slice_in_dim(ends, start, _PANELS_AT_ONCE + 1, axis=-1)
+                u, weight = panel_nodes(chunk[..., :-1], chunk[..., 1:], nodes)
+                u, weight = (jnp.reshape(a, (*a.shape[:-2], -1)) for a in (u, weight))
+                value = hemispherical_directional(
+                    groove_angle(roughness[..., None], u),
+                    along[..., None],
+                    across[..., None],
+                    normal[..., None],
+                    index[..., None],
+                    model,
+                    symmetric,
+                )
+                return start + _PANELS_AT_ONCE, total + jnp.sum(weight * value, axis=-1)
 
-        def unfinished(carry: tuple[Array, Array]) -> Array:
-            first = carry[0]
-            start = lax.dynamic_index_in_dim(ends, jnp.minimum(first, panels), axis=-1, keepdims=False)
-            return (first < panels) & (jnp.min(start) < cutoff)
+            def unfinished(carry: tuple[Array, Array]) -> Array:
+                start = carry[0]
+                end = lax.dynamic_index_in_dim(ends, jnp.minimum(start, panels), axis=-1, keepdims=False)
+                return (start < last) & (jnp.min(end) < cutoff)
+
+            return lax.while_loop(unfinished, body, (jnp.asarray(first), total))[1]
 
         # What the cutoff leaves out counts as its end: so the weights sum to 1.
         end = groove_angle(roughness, jnp.asarray(cutoff, roughness.dtype))
         tail = tail_weight(cutoff) * hemispherical_directional(
             end, along, across, normal, index, model, symmetric
         )
-        start = jnp.broadcast_to(tail, shape)
-        return lax.while_loop(unfinished, body, (jnp.asarray(0), start))[1]
+        wide = min(_WIDE_PANELS, panels)
+        total = add_panels(0, wide, order, jnp.broadcast_to(tail, shape))
+        return add_panels(wide, panels, max(3, int(np.ceil(0.6 * order))), total)
 
     parts = (index.real, index.imag) if jnp.iscomplexobj(index) else (index,)
     return elementwise_forward(average, nested=True)(roughness, along, across, normal, *parts)

@@ -6,7 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Inexact
+from jaxtyping import Array, Float, Inexact
 
 
 def floor_of(x: Inexact[Array, "..."]) -> float:
@@ -24,6 +24,12 @@ def safe_divide(
     zero = denominator == 0
     quotient = numerator / jnp.where(zero, jnp.ones_like(denominator), denominator)
     return jnp.where(zero, jnp.zeros_like(quotient), quotient)
+
+
+def safe_hypot(x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
+    """√(x² + y²), and 1 with zero gradient where both vanish: what it divides is 0 there."""
+    squared = x * x + y * y
+    return jnp.sqrt(jnp.where(squared == 0, jnp.ones_like(squared), squared))
 
 
 def elementwise_forward(function: Callable[..., Any], nested: bool = False) -> Callable[..., Any]:

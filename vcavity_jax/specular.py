@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Inexact
 
 from vcavity_jax.directions import panel_share
 from vcavity_jax.fresnel import amplitudes, permittivity_contrast, power
-from vcavity_jax.safe import elementwise_forward, safe_divide
+from vcavity_jax.safe import elementwise_forward, safe_divide, safe_hypot
 from vcavity_jax.scene import Polarization
 
 Jones = tuple[Inexact[Array, "..."], ...]
@@ -44,10 +44,11 @@ def reflection_shares(
     count = lax.stop_gradient(jnp.maximum(jnp.floor(jnp.where(first < angle, both, alone)) + 1, 1))
     share = panel_share(angle, side * across, normal)
     steps = (count - 1) * angle / 2
-    length = jnp.sqrt(across**2 + jnp.where(count > 1, normal, jnp.ones_like(normal)) ** 2)
+    # With a single reflection cos θ' may vanish; it is not needed then.
+    height = jnp.where(count > 1, normal, jnp.ones_like(normal))
     fewer = safe_divide(
-        jnp.sin(steps) * jnp.sin(first + steps - jnp.pi / 2) * length,
-        jnp.sin(angle / 2) * jnp.where(count > 1, normal, jnp.ones_like(normal)),
+        jnp.sin(steps) * jnp.sin(first + steps - jnp.pi / 2) * safe_hypot(across, height),
+        jnp.sin(angle / 2) * height,
     )
     fewer = jnp.where(count > 1, jnp.clip(fewer, 0, share), jnp.zeros_like(fewer))
     return count, share - fewer, fewer
@@ -73,9 +74,7 @@ def _reflect(
         if model == "separate":
             return state[0] * r_s, state[1] * r_p
         return (state[0] * (power(r_s) + power(r_p)) / 2,)
-    radius = jnp.sqrt(across**2 + normal**2)
-    degenerate = radius == 0
-    scale = 1 / jnp.where(degenerate, jnp.ones_like(radius), radius)
+    scale = 1 / safe_hypot(across, normal)
     q1 = ((normal * cosine - across * sine) * scale).astype(coupling.dtype)
     q2 = (-along * incidence * scale).astype(coupling.dtype)
     j11, j12, j21, j22 = state

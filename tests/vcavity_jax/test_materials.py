@@ -407,7 +407,7 @@ def test_formulas(tmp_path: Path, number: int, coefficients: str, expected: floa
 @pytest.mark.parametrize(
     ("number", "coefficients", "wavelength", "published"),
     [
-        # Fused silica at the helium line 587.6 nm [Malitson 1965]; N-BK7 there [Schott data sheet].
+        # Fused silica at the helium line 587.6 nm [Malitson1965]; N-BK7 there [Schott data sheet].
         (1, "0 0.6961663 0.0684043 0.4079426 0.1162414 0.8974794 9.896161", 587.6, 1.45846),
         (
             2,
@@ -415,7 +415,7 @@ def test_formulas(tmp_path: Path, number: int, coefficients: str, expected: floa
             587.6,
             1.5168,
         ),
-        # Dry air at 15 °C and 101325 Pa [Ciddor 1996, eq. 1], whose n at the sodium line is 1.000277.
+        # Dry air at 15 °C and 101325 Pa [Ciddor1996, eq. 1], whose n at the sodium line is 1.000277.
         (6, "0 0.05792105 238.0185 0.00167917 57.362", 589.3, 1.000277),
     ],
 )

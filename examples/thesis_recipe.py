@@ -1,0 +1,187 @@
+"""The thesis's own recipe for V-grooves, plainly in NumPy: what vcavity replaces, for comparison only.
+
+    python examples/thesis_recipe.py
+
+prints its values beside vcavity's. Diffusing panels: 32 facets per panel and one linear system of 64 unknowns
+per wavelength [SaintPierre2020, chapter 3]. Mirror-like panels: 100 entry positions across the aperture, each
+followed through all its reflections [chapter 4]. Errors of print are corrected, so that what remains is the
+error of the sampling; docs/errata.md lists them. Angles in radians, fractions out.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Direction = tuple[float, float]
+
+FACETS = 32
+ENTRIES = 100
+
+
+def _unit(direction: Direction) -> Real:
+    """Direction (polar, azimuth) as a vector (eq. 3.30); azimuth 0 is across the grooves."""
+    polar, azimuth = direction
+    return np.array([np.sin(polar) * np.sin(azimuth), np.sin(polar) * np.cos(azimuth), np.cos(polar)])
+
+
+def facet_matrix(angle: float, y: Real) -> Real:
+    """K of both panels, from the center of each facet to the strips of the other panel (eq. 3.27, 3.28)."""
+    half = 0.5 / len(y)
+
+    def antiderivative(u: Real) -> Real:
+        center = y[:, None]
+        distance = np.sqrt(center**2 + u**2 - 2 * center * u * np.cos(angle))
+        return np.pi / 2 * (u * np.cos(angle) - center) / distance
+
+    block = antiderivative(y + half) - antiderivative(y - half)
+    zero = np.zeros_like(block)
+    return np.block([[zero, block], [block, zero]])
+
+
+def projections(angle: float, y: Real, direction: Direction) -> Real:
+    """Cosine between each facet and a direction, 0 where it is hidden (eq. 3.31, 3.37, 3.39).
+
+    The Boolean holds for the center of a facet, and so for the whole of it.
+    """
+    _, across, normal = _unit(direction)
+    sine, cosine = np.sin(angle / 2), np.cos(angle / 2)
+    cosines = []
+    for side in (1, -1):
+        crossing = (1 - y) * across / normal * cosine - side * y * sine
+        cosines.append((np.abs(crossing) < sine) * max(side * across * cosine + normal * sine, 0))
+    return np.concatenate(cosines)
+
+
+def lambertian(angle: float, reflectance: Real, light: Direction | None, view: Direction) -> Real:
+    """Radiance factor of a groove with diffusing panels.
+
+    Args:
+        angle: dihedral angle.
+        reflectance: one per wavelength, shape (L,).
+        light: direction of a parallel light; None for diffuse light.
+        view: direction of observation.
+
+    Returns:
+        Mean over the visible facets, weighted with their projected area, shape (L,).
+    """
+    y = (np.arange(FACETS) + 0.5) / FACETS
+    matrix = facet_matrix(angle, y)
+    if light is None:  # what the other panel leaves of the hemisphere; eq. 3.41 with the panel's own normal
+        received = (1 - (np.cos(angle) - y) / np.sqrt(1 + y**2 - 2 * y * np.cos(angle))) / 2
+        irradiance = np.concatenate([received, received])
+    else:
+        irradiance = projections(angle, y, light) / np.cos(light[0])
+    system = np.eye(2 * FACETS) - (reflectance / np.pi)[:, None, None] * matrix
+    radiance = reflectance[:, None] * np.linalg.solve(system, irradiance[:, None])[..., 0]
+    seen = projections(angle, y, view)
+    return radiance @ seen / seen.sum()
+
+
+def amplitudes(cosine: Real, index: Complex) -> tuple[Complex, Complex]:
+    """r_p and r_s of one reflection (eq. 2.22, 2.23), equal at normal incidence."""
+    root = np.sqrt(index**2 - 1 + cosine**2)
+    return (root - index**2 * cosine) / (root + index**2 * cosine), (cosine - root) / (cosine + root)
+
+
+def uniform_entries(angle: float) -> tuple[Real, Real]:
+    """Evenly spaced positions across the aperture, and equal weights."""
+    entry = ((np.arange(ENTRIES) + 0.5) / ENTRIES * 2 - 1) * np.sin(angle / 2)
+    return entry, np.full(ENTRIES, 1 / ENTRIES)
+
+
+def exact_entries(angle: float, view: Direction) -> tuple[Real, Real]:
+    """One position in each piece of the aperture over which nothing changes, and the share of the piece.
+
+    The thesis does not do this: with it the recipe is exact, and an independent check of vcavity.
+    """
+    e = _unit(view)
+    section = np.arctan2(e[1], e[2])
+    gamma = angle * (np.arange(np.ceil(2 * np.pi / angle)) + 0.5)  # where eq. 4.12 jumps, and more
+    offsets = np.concatenate([[0], np.sin(gamma - np.pi + section), np.sin(section + np.pi - gamma)])
+    rim = np.sin(angle / 2)
+    steps = np.clip((offsets + np.cos(angle / 2) * np.sin(section)) / np.cos(section), -rim, rim)
+    edges = np.unique(np.concatenate([[-rim, rim], steps]))
+    return (edges[1:] + edges[:-1]) / 2, np.diff(edges) / (2 * rim)
+
+
+def specular(angle: float, index: Complex, view: Direction, entries: tuple[Real, Real] | None = None) -> Real:
+    """Hemispherical-directional reflectance of a groove with mirror-like panels under diffuse light.
+
+    All entry positions and wavelengths go through one reflection together.
+
+    Args:
+        angle: dihedral angle.
+        index: n + ik, one per wavelength, shape (L,).
+        view: direction of observation.
+        entries: positions across the aperture and their weights; the thesis's by default.
+
+    Returns:
+        Mean over the entry positions, shape (L,).
+    """
+    e = _unit(view)
+    section = np.arctan2(e[1], e[2])
+    entry, weight = uniform_entries(angle) if entries is None else entries
+    offset = entry * np.cos(section) - np.cos(angle / 2) * np.sin(section)
+    beta = section + np.pi - np.arcsin(offset)  # eq. 4.10
+    side = np.where(offset < 0, 1, -1)  # the panel met first, eq. 4.4
+    gamma = np.where(offset < 0, 2 * np.pi - beta, beta)  # eq. 4.11
+    count = np.floor(gamma / angle - 0.5).astype(int) + 1  # eq. 4.12
+    jones = np.broadcast_to(np.eye(2, dtype=complex), (len(entry), len(index), 2, 2)).copy()
+    previous = np.zeros((len(entry), 3))
+    for j in range(1, count.max() + 1):
+        live = count >= j
+        image = (j - 0.5) * angle
+        normal = np.stack(  # eq. 4.37, 4.38
+            [np.zeros(live.sum()), side[live] * np.cos(image), np.full(live.sum(), np.sin(image))], axis=-1
+        )
+        plane = np.cross(e, normal)  # eq. 4.24
+        plane /= np.linalg.norm(plane, axis=-1, keepdims=True)
+        state = jones[live]
+        if j > 1:  # eq. 4.17 with the sign of the angle, which eq. 4.25 loses
+            cosine = np.sum(previous[live] * plane, axis=-1)[:, None, None]
+            sine = (np.cross(previous[live], plane) @ e)[:, None, None]
+            p, s = state[..., 0, :], state[..., 1, :]
+            state = np.stack([cosine * p + sine * s, cosine * s - sine * p], axis=-2)
+        r_p, r_s = amplitudes((normal @ e)[:, None], index)
+        jones[live] = np.stack([r_p, r_s], axis=-1)[..., None] * state
+        previous[live] = plane
+    return weight @ np.sum(np.abs(jones) ** 2, axis=(-2, -1)) / 2  # eq. 4.23 and 4.28
+
+
+if __name__ == "__main__":
+    import jax
+
+    import vcavity_jax as vc
+
+    jax.config.update("jax_enable_x64", True)
+    groove = np.deg2rad(45.0)
+    oblique = np.deg2rad(35.0), np.deg2rad(30.0)
+    r, n = np.array([0.5, 0.93]), np.array([0.3239 + 2.5972j, 4.077 + 0.028j])
+
+    def ours(
+        material: vc.Lambertian | vc.Specular, light: vc.Diffuse | vc.Directional, view: Direction
+    ) -> Real:
+        return np.asarray(
+            vc.reflectance_factor(vc.Scene(vc.VGrooves(groove), material, light, vc.View(*view)))
+        )
+
+    frontal = 0.0, 0.0
+    slanted = np.deg2rad(45.0), 0.0
+    pairs = {
+        "diffusing, diffuse light, frontal view": (
+            lambertian(groove, r, None, frontal),
+            ours(vc.Lambertian(r), vc.Diffuse(), frontal),
+        ),
+        "diffusing, light at 45°, frontal view": (
+            lambertian(groove, r, slanted, frontal),
+            ours(vc.Lambertian(r), vc.Directional(*slanted), frontal),
+        ),
+        "mirrors (gold, silicon at 550 nm), view 35°, 30°": (
+            specular(groove, n, oblique),
+            ours(vc.Specular(n), vc.Diffuse(), oblique),
+        ),
+    }
+    print("groove of 45°: thesis's recipe | vcavity")
+    for name, (thesis, exact) in pairs.items():
+        print(f"{name}: {np.array2string(thesis, precision=6)} | {np.array2string(exact, precision=10)}")
