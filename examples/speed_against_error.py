@@ -250,10 +250,12 @@ def markdown(rows: list[Row], gradients: list[GradientRow], machine: dict[str, s
     for r in rows:
         missed = ["time"] * (r.time_ratio < AIM_TIME) + ["error"] * (r.error_ratio < AIM_ERROR)
         aim = f"no: {', '.join(missed)}" if missed else "yes"
+        tolerance = "exact" if r.tolerance is None else f"{r.tolerance:.0e}"
+        compiling, mark = ("-", "~") if r.extrapolated else (f"{r.compile_s:.1f}", "")
         lines.append(
-            f"| {r.case} | {r.scenes} | {'exact' if r.tolerance is None else f'{r.tolerance:.0e}'} |"
-            f" {'-' if r.extrapolated else f'{r.compile_s:.1f}'} | {'~' * r.extrapolated}{r.time_us:.3g} | {r.error:.1e} | {r.success:.0%} |"
-            f" {r.thesis_us:.0f} | {r.thesis_error:.1e} | {r.time_ratio:.3g} | {r.error_ratio:.1e} | {aim} |"
+            f"| {r.case} | {r.scenes} | {tolerance} | {compiling} | {mark}{r.time_us:.3g} | {r.error:.1e} |"
+            f" {r.success:.0%} | {r.thesis_us:.0f} | {r.thesis_error:.1e} | {r.time_ratio:.3g} |"
+            f" {r.error_ratio:.1e} | {aim} |"
         )
     lines += [
         "",

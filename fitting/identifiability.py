@@ -116,7 +116,7 @@ def find_warnings(
     for name, estimate in estimates.items():
         if estimate.at_kink:
             found.append(
-                f"{name} lies at a kink of the model, where its slopes on both sides differ: trust the 95 % "
+                f"{name} lies at a kink of the model, where the slopes on its two sides differ: trust the 95 % "
                 "interval, not the standard error"
             )
         if name in open_names:
@@ -171,7 +171,7 @@ def _directions(problem: Problem, estimates: dict[str, Estimate]) -> list[str]:
     polar, azimuth = problem.measurement.polar, problem.measurement.azimuth
     section = np.abs(np.arctan2(np.sin(polar) * np.cos(azimuth), np.cos(polar)))
     found = []
-    if (section < 1e-6).all() and (np.abs(polar) > 1e-6).any():
+    if problem.nonlinear and (section < 1e-6).all() and (np.abs(polar) > 1e-6).any():
         found.append(
             "all directions lie along the grooves (tan θ' = tan θ cos φ = 0): they tell little more about "
             "the grooves than one frontal view; add directions across them"

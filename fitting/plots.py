@@ -6,8 +6,6 @@ and marker, not in hue alone. Figures are drawn without pyplot, so no state of t
 # ruff: noqa: RUF001 (the labels are typeset: Greek letters, a real minus)
 
 import io
-import os
-import secrets
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -22,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, NullFormatter, SymmetricalLogLocator
 
+from fitting import files
 from fitting.identifiability import threshold_95
 from fitting.result import FitResult
 
@@ -93,16 +92,7 @@ def plot_fit(result: FitResult, path: str | PathLike[str]) -> None:
         contents = io.BytesIO()
         dates: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
         figure.savefig(contents, format=kind, dpi=300, metadata=dates.get(kind, {}))
-    _replace(target, contents.getvalue())
-
-
-def _replace(path: Path, contents: bytes) -> None:
-    part = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}")
-    try:
-        part.write_bytes(contents)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+    files.write(target, contents.getvalue())
 
 
 def _draw(result: FitResult) -> Figure:
@@ -162,7 +152,8 @@ def _draw_spectra(figure: Figure, result: FitResult, above: Axes, below: Axes) -
     below.set_xlabel(axis_label)
     marked = "measured" if thinned == 1 else f"measured (one in {thinned})"
     _title(above, "a", f"points: {marked}, lines: fitted")
-    _title(below, "b", "measured minus fitted" + (" (band: ±2σ)" if in_sigma else ""))
+    sigma = "σ, σ estimated" if result.uncertainty_estimated else "σ"
+    _title(below, "b", "measured minus fitted" + (f" (band: ±2{sigma})" if in_sigma else ""))
     shown_of_all = f" ({len(series)} of {total} shown)" if total > len(series) else ""
     columns = min(4, len(handles))
     figure.legend(

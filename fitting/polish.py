@@ -103,7 +103,7 @@ def _lower(problem: Problem, max_steps: int) -> Any:
         point = values(u, lane)
         fixed = jax.lax.stop_gradient(point)
         # Value and slopes at once, and a prediction linear in the step: the model is compiled a single time.
-        predicted, push = jax.linearize(programs.model, fixed)
+        predicted, push = jax.linearize(lambda v: programs.model(v, lane.data.known), fixed)
         slopes = jax.vmap(push)(jnp.eye(len(log_scale), dtype=point.dtype))
         residual, linear, variance = programs.residuals(
             predicted + jnp.tensordot(point - fixed, slopes, 1), point, lane.data

@@ -22,6 +22,7 @@ from fitting.parameters import Parameter
 from fitting.programs import CHUNK, Data, Programs, programs_for
 
 MOST_NONLINEAR = 3
+_FIRST_GUESS = 0.01
 
 
 class Evaluation(NamedTuple):
@@ -46,13 +47,13 @@ class Problem:
 
     Args:
         scene: with the measurement's view.
-        measurement: what is fitted.
+        measurement: what is fitted, with the standard uncertainty that the fit uses.
         nonlinear: the free parameters of the scene.
         linear: gain, offset, both or none, in this order.
         is_angle: which nonlinear parameter is the dihedral angle, None if none is.
         data: the numbers.
         programs: the model and what is compiled of it.
-        place: puts the nonlinear parameters into the scene.
+        place: puts the nonlinear parameters, and ``data.known``, into the scene.
     """
 
     scene: Any
@@ -62,7 +63,7 @@ class Problem:
     is_angle: int | None
     data: Data
     programs: Programs
-    place: Callable[[Sequence[Any]], Any]
+    place: Callable[[Sequence[Any], Sequence[Any]], Any]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -82,8 +83,13 @@ class Problem:
 
     def with_uncertainty_scaled(self, factor: float) -> "Problem":
         """The same problem with all standard uncertainties multiplied by a factor; priors stay."""
-        scale = jnp.asarray(factor, self.data.weights.dtype)
-        return dataclasses.replace(self, data=self.data._replace(weights=self.data.weights / scale))
+        sigma = self.measurement.standard_uncertainty
+        assert sigma is not None
+        return dataclasses.replace(
+            self,
+            measurement=dataclasses.replace(self.measurement, standard_uncertainty=sigma * factor),
+            data=self.data._replace(weights=self.data.weights / jnp.asarray(factor, self.data.weights.dtype)),
+        )
 
     def evaluate(self, parameters: Float[np.ndarray, "n p"]) -> Evaluation:
         """Chi-square, gain and offset at many parameter vectors, in the scene's units."""
@@ -103,10 +109,20 @@ class Problem:
         chi_square, linear, variance = (np.asarray(part[: len(order)][back], np.float64) for part in parts)
         return Evaluation(points, chi_square, linear, variance)
 
+    def alone(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Chi-square, gain and offset, their variances and the model, if no parameter of the scene is free.
+
+        Each has a first axis of length 1, as if there were one parameter vector.
+        """
+        self.programs.begin_alone(self.data)
+        parts = self.programs.compiled["alone"].result()(self.data)
+        chi_square, linear, variance, predicted = (np.asarray(part, np.float64)[None] for part in parts)
+        return chi_square, linear, variance, predicted
+
     def fitted_scene(self, values: Float[np.ndarray, " p"]) -> Any:
         """The scene with the nonlinear parameters put in."""
         dtype = self.data.values.dtype
-        return self.place([jnp.asarray(value, dtype) for value in values])
+        return self.place([jnp.asarray(value, dtype) for value in values], self.data.known)
 
     def jacobian(
         self, predicted: Float[np.ndarray, "d l"], slopes: Float[np.ndarray, "p d l"]
@@ -137,7 +153,7 @@ def build(
     Args:
         scene: any view; its illumination must be the measurement's.
         measurement: what is fitted.
-        parameters: one to three of the scene, and gain and offset at will.
+        parameters: at most three of the scene, and gain and offset at will; at least one in all.
         standard_uncertainty: fraction; takes precedence over the measurement's own; None for that.
         tolerance: bound on the model's numerical error.
 
@@ -156,26 +172,29 @@ def build(
                 "number of the scene; expected each number once"
             )
     leaves, tree = jax.tree.flatten(scene)
+    known = _passed_on(scene, slots)
 
-    def place(values: Sequence[Any]) -> Any:
+    def place(values: Sequence[Any], others: Sequence[Any]) -> Any:
         filled = list(leaves)
-        for slot, value in zip(slots, values, strict=True):
+        for slot, value in zip((*slots, *known), (*values, *others), strict=True):
             filled[slot] = value
         return jax.tree.unflatten(tree, filled)
 
-    for parameter, index in zip(nonlinear, range(len(nonlinear)), strict=True):
+    fixed = tuple(leaves[i] for i in known)
+    for index, parameter in enumerate(nonlinear):
         for bound in (parameter.lower, parameter.upper):
             inside = [np.asarray(leaves[s]) for s in slots]
             inside[index] = np.asarray(bound)
-            _recheck(place(inside), f"parameter {parameter.name!r} at its bound: ")
+            _recheck(place(inside, fixed), f"parameter {parameter.name!r} at its bound: ")
     is_angle = None
     if isinstance(scene.surface, vc.VGrooves):
         angle = next(i for i, leaf in enumerate(leaves) if leaf is scene.surface.angle)
         is_angle = slots.index(angle) if angle in slots else None
-    data = _data(measurement, nonlinear, linear, standard_uncertainty)
+    measurement = _with_uncertainty(measurement, standard_uncertainty)
+    data = _data(measurement, nonlinear, linear, fixed)
     roles = tuple(p.role for p in linear)
     scales = tuple(p.scale for p in nonlinear)
-    programs = programs_for(scene, slots, scales, roles, tolerance, data.values.shape, place)
+    programs = programs_for(scene, slots, known, scales, roles, tolerance, data.values.shape, place)
     problem = Problem(scene, measurement, nonlinear, linear, is_angle, data, programs, place)
     if problem.degrees_of_freedom < 0:
         raise ValueError(
@@ -198,8 +217,8 @@ def _sorted_parameters(
     linear = tuple(sorted((p for p in parameters if p.role != "scene"), key=lambda p: p.role))
     if len({p.role for p in linear}) < len(linear):
         raise ValueError("gain or offset is given twice; expected each at most once")
-    if not nonlinear:
-        raise ValueError("no parameter of the scene is free; expected at least one, say free.angle()")
+    if not parameters:
+        raise ValueError("no parameter is free; expected at least one, say free.angle()")
     if len(nonlinear) > MOST_NONLINEAR:
         raise ValueError(
             f"{len(nonlinear)} parameters of the scene are free ({', '.join(p.name for p in nonlinear)}); "
@@ -254,6 +273,21 @@ class _Mark:
     """Found again among the leaves of a scene."""
 
 
+def _passed_on(scene: Any, slots: Sequence[int]) -> tuple[int, ...]:
+    """Leaves of the scene that are handed to the compiled programs instead of being compiled in.
+
+    They are the material's, so that other materials of the same kind need no new compilation. A real index stays
+    in: the model must see that it is at least 1.
+    """
+    own = [] if _has_real_index(scene.material) else jax.tree.leaves(scene.material)
+    places = enumerate(jax.tree.leaves(scene))
+    return tuple(i for i, leaf in places if i not in slots and any(leaf is part for part in own))
+
+
+def _has_real_index(material: Any) -> bool:
+    return isinstance(material, vc.Specular) and not jnp.iscomplexobj(material.index)
+
+
 def _recheck(node: Any, prefix: str) -> None:
     """Let the scene's parts check a bound as they check a user's own numbers."""
     for field in dataclasses.fields(node):
@@ -268,26 +302,29 @@ def _recheck(node: Any, prefix: str) -> None:
             raise ValueError(prefix + str(error)) from None
 
 
+def _with_uncertainty(measurement: Measurement, standard_uncertainty: float | int | None) -> Measurement:
+    """The measurement with the uncertainty that the fit uses, or a start for its estimate."""
+    if standard_uncertainty is None and measurement.standard_uncertainty is not None:
+        return measurement
+    sigma = _FIRST_GUESS if standard_uncertainty is None else standard_uncertainty
+    if not (isinstance(sigma, float | int) and 0 < sigma < math.inf):
+        raise ValueError(f"standard_uncertainty is {sigma!r}; expected one positive number, as a fraction")
+    full = np.full(measurement.reflectance_factor.shape, float(sigma))
+    return dataclasses.replace(measurement, standard_uncertainty=full)
+
+
 def _data(
     measurement: Measurement,
     nonlinear: tuple[Parameter, ...],
     linear: tuple[Parameter, ...],
-    standard_uncertainty: float | int | None,
+    known: tuple[Any, ...],
 ) -> Data:
     values = measurement.reflectance_factor
     present = ~np.isnan(values)
     if not present.any():
         raise ValueError("the measurement holds no value (all are NaN); expected at least one")
     sigma = measurement.standard_uncertainty
-    if standard_uncertainty is not None:
-        if not (isinstance(standard_uncertainty, float | int) and 0 < standard_uncertainty < math.inf):
-            raise ValueError(
-                f"standard_uncertainty is {standard_uncertainty!r}; expected one positive number, as a "
-                "fraction"
-            )
-        sigma = np.full(values.shape, float(standard_uncertainty))
-    if sigma is None:
-        sigma = np.full(values.shape, 0.01)  # Only a start: the fit then estimates it.
+    assert sigma is not None
     weights = np.where(present, 1 / np.where(present, sigma, 1.0), 0.0)
     own: dict[str, Parameter] = {p.role: p for p in linear}
     priors = [p.prior for p in nonlinear] + [own[r].prior if r in own else None for r in ("gain", "offset")]
@@ -300,4 +337,5 @@ def _data(
         bounds,
         [p.step_tolerance for p in nonlinear],
     )
-    return Data(*(jnp.asarray(np.asarray(number), dtype=jnp.result_type(float)) for number in numbers))
+    dtype = jnp.result_type(float)
+    return Data(*(jnp.asarray(np.asarray(number), dtype) for number in numbers), known)

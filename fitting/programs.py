@@ -1,7 +1,8 @@
 """What is compiled of a scene: the model, and its chi-square with gain and offset eliminated.
 
-The known parts of a scene are compiled in, because the model picks cheaper paths for them. Programs are kept,
-so that the next fit of the same kind of scene, with the same directions, starts at once.
+The known directions and surface of a scene are compiled in, because the model picks cheaper paths for them; the
+material is passed on. Programs are kept, so that the next fit of the same kind of scene, with the same
+directions, starts at once, whatever its material.
 """
 
 from collections import OrderedDict
@@ -31,6 +32,7 @@ class Data(NamedTuple):
         prior_weight: inverse standard deviations of the priors, 0 for none, shape (P + 2,).
         bounds: natural coordinates of the P lower, then the P upper bounds, shape (2, P).
         step: steps in the natural coordinates at which a polish stops, shape (P,).
+        known: numbers of the scene that are neither free nor compiled in.
     """
 
     values: Array
@@ -39,6 +41,7 @@ class Data(NamedTuple):
     prior_weight: Array
     bounds: Array
     step: Array
+    known: tuple[Array, ...]
 
 
 def eliminate(
@@ -112,14 +115,15 @@ class Programs:
     """The model of one kind of scene and what is compiled of it.
 
     Args:
-        model: parameters in the scene's units, shape (P,), to reflectance factors, shape (D, L).
+        model: parameters in the scene's units, shape (P,), and ``Data.known`` to reflectance factors, shape
+            (D, L).
         logarithmic: which of the P parameters are searched by their logarithm.
         roles: which of "gain" and "offset" are free.
         quick: the model is so cheap that compiling takes longer than running.
         compiled: by name; each is ready, or becomes so in the background.
     """
 
-    model: Callable[[Array], Array]
+    model: Callable[[Array, tuple[Array, ...]], Array]
     logarithmic: tuple[bool, ...]
     roles: tuple[str, ...]
     quick: bool
@@ -143,11 +147,22 @@ class Programs:
         """Compile chi-square, gain and offset, and their variances, of ``CHUNK`` parameter vectors."""
 
         def one(values: Array, data: Data) -> tuple[Array, Array, Array]:
-            residual, linear, variance = self.residuals(self.model(values), values, data)
+            residual, linear, variance = self.residuals(self.model(values, data.known), values, data)
             return residual @ residual, linear, variance
 
         shape = jax.ShapeDtypeStruct((CHUNK, len(self.logarithmic)), data.values.dtype)
         self.begin("chunk", lambda: jax.jit(jax.vmap(one, in_axes=(0, None))).lower(shape, data))
+
+    def begin_alone(self, data: Data) -> None:
+        """Compile chi-square, gain and offset, their variances, and the model, if nothing else is free."""
+
+        def alone(data: Data) -> tuple[Array, ...]:
+            nothing = jnp.zeros(0, data.values.dtype)
+            predicted = self.model(nothing, data.known)
+            residual, linear, variance = self.residuals(predicted, nothing, data)
+            return residual @ residual, linear, variance, predicted
+
+        self.begin("alone", lambda: jax.jit(alone).lower(data))
 
     def chunk(self, data: Data) -> Any:
         """The program of ``begin_chunk``."""
@@ -173,43 +188,50 @@ def _compile(lowered: Any, options: dict[str, Any] | None) -> Any:
 def programs_for(
     scene: Any,
     slots: Sequence[int],
+    passed: Sequence[int],
     scales: tuple[str, ...],
     roles: tuple[str, ...],
     tolerance: float,
     shape: tuple[int, ...],
-    place: Callable[[Sequence[Any]], Any],
+    place: Callable[[Sequence[Any], Sequence[Any]], Any],
 ) -> Programs:
     """The programs of a kind of scene, new or kept from an earlier fit.
 
     Args:
         scene: with the measurement's view.
         slots: which leaves of the scene are free.
+        passed: which leaves are neither free nor compiled in.
         scales: "linear" or "log" for each of them.
         roles: which of "gain" and "offset" are free.
         tolerance: bound on the model's numerical error.
         shape: (D, L) of the measurement.
-        place: puts values into the slots.
+        place: puts free values and those passed on into the scene.
 
     Raises:
         ValueError: the scene cannot be evaluated, or its wavelengths are not the measurement's.
     """
     leaves, tree = jax.tree.flatten(scene)
     known = tuple(
-        None if i in slots else (np.asarray(leaf).tobytes(), np.shape(leaf), str(np.asarray(leaf).dtype))
+        (
+            None if i in slots or i in passed else np.asarray(leaf).tobytes(),
+            np.shape(leaf),
+            str(np.asarray(leaf).dtype),
+        )
         for i, leaf in enumerate(leaves)
     )
     dtype = jnp.result_type(float)
-    key = (tree, known, tuple(slots), scales, roles, tolerance, shape, str(dtype))
+    key = (tree, known, tuple(slots), tuple(passed), scales, roles, tolerance, shape, str(dtype))
     if key in _KEPT:
         _KEPT.move_to_end(key)
         return _KEPT[key]
 
-    def model(values: Array) -> Array:
-        factor = vc.reflectance_factor(place([values[i] for i in range(len(slots))]), tolerance)
+    def model(values: Array, others: tuple[Array, ...]) -> Array:
+        factor = vc.reflectance_factor(place([values[i] for i in range(len(slots))], others), tolerance)
         return jnp.broadcast_to(factor if factor.ndim == 2 else factor[:, None], shape)
 
     numbers = [jax.ShapeDtypeStruct((), dtype) for _ in slots]
-    found = jax.eval_shape(lambda *v: vc.reflectance_factor(place(v), tolerance), *numbers).shape[1:]
+    others = [leaves[i] for i in passed]
+    found = jax.eval_shape(lambda v, k: vc.reflectance_factor(place(v, k), tolerance), numbers, others).shape[1:]
     if found not in ((), (shape[1],)):
         raise ValueError(
             f"the material has wavelength shape {found}, the measurement {shape[1]} wavelengths; expected () "

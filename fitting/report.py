@@ -14,7 +14,11 @@ from fitting.problem import Evaluation, Problem
 from fitting.result import Estimate, FitResult, Minimum
 
 _SIDE = 1e-6
-"""Distance from the minimum, as a share of the range, at which one-sided slopes are taken."""
+"""Distance from a value, as a share of the range, at which one-sided slopes are taken."""
+
+_UNEVEN = 1.5
+_MOST_KINKS = 20
+"""A standard error as wide as so many kinks says little about any of them."""
 
 
 @dataclass(frozen=True)
@@ -39,23 +43,56 @@ def _information(problem: Problem, at: Polished, index: int) -> identifiability.
     return identifiability.local_information(problem.jacobian(at.predicted[index], gain * at.slopes[index]))
 
 
-def _one_sided(problem: Problem, found: Found) -> tuple[list[tuple[Any, Any]], list[tuple[float, float]]]:
-    """For each nonlinear parameter, what the slopes left and right of the best fit say, and their sizes."""
-    best = found.minima.parameters[0]
-    low, high = np.asarray(problem.data.bounds, dtype=np.float64)
-    points = []
-    for i, parameter in enumerate(problem.nonlinear):
-        for side in (-1, 1):
-            beside = best.copy()
-            shifted = parameter.natural(best[i]) + side * _SIDE * (high[i] - low[i])
-            beside[i] = parameter.from_natural(np.clip(shifted, low[i], high[i]))
-            points.append(beside)
-    at = polish(problem, np.array(points), frozen=True)
+@dataclass(frozen=True)
+class _Sides:
+    """What the slopes on the left and on the right of a value of one parameter say.
+
+    Args:
+        errors: the parameter's standard error from either.
+        uneven: the lengths of the slopes differ by more than half.
+    """
+
+    errors: tuple[float, float]
+    uneven: bool
+
+
+def _sides(problem: Problem, best: Float[np.ndarray, " p"], slot: int, values: Any) -> list[_Sides]:
+    """Slopes beside values of one parameter, the others at the best fit."""
+    parameter = problem.nonlinear[slot]
+    low, high = np.asarray(problem.data.bounds, dtype=np.float64)[:, slot]
+    points = np.repeat(best[None], 2 * len(values), axis=0)
+    shifted = parameter.natural(values)[:, None] + np.array([-1, 1]) * _SIDE * (high - low)
+    points[:, slot] = parameter.from_natural(np.clip(shifted.ravel(), low, high))
+    at = polish(problem, points, frozen=True)
     weights = np.asarray(problem.data.weights, dtype=np.float64)
-    sizes = [float(np.linalg.norm(weights * at.slopes[k, k // 2])) for k in range(len(points))]
-    said = [_information(problem, at, k) for k in range(len(points))]
-    pairs = range(0, len(points), 2)
-    return [(said[k], said[k + 1]) for k in pairs], [(sizes[k], sizes[k + 1]) for k in pairs]
+    sizes = np.linalg.norm((weights * at.slopes[:, slot]).reshape(len(points), -1), axis=1)
+    errors = [float(_information(problem, at, k).standard_errors[slot]) for k in range(len(points))]
+    return [
+        _Sides((errors[k], errors[k + 1]), bool(max(sizes[k : k + 2]) > _UNEVEN * min(sizes[k : k + 2])))
+        for k in range(0, len(points), 2)
+    ]
+
+
+def _kink_within_reach(
+    problem: Problem, best: Float[np.ndarray, " p"], slot: int, reach: float
+) -> _Sides | None:
+    """The kink that a fit feels most, None if it feels none.
+
+    A kink within reach counts if the slopes on its sides differ; if the value lies on it, in any case.
+    """
+    if slot != problem.is_angle:
+        return None
+    kinks = kink_values(problem)
+    low, high = np.asarray(problem.data.bounds, dtype=np.float64)[:, slot]
+    far = np.abs(kinks - best[slot])
+    on = far <= _SIDE * (high - low)
+    near = np.flatnonzero(on | (far < reach))
+    near = near[np.argsort(far[near], kind="stable")][:_MOST_KINKS]
+    if not len(near):
+        return None
+    sides = _sides(problem, best, slot, kinks[near])
+    felt = [side for place, side in zip(near, sides, strict=True) if on[place] or side.uneven]
+    return felt[0] if felt else None
 
 
 def report(problem: Problem, found: Found, unknown: bool) -> FitResult:
@@ -70,35 +107,32 @@ def report(problem: Problem, found: Found, unknown: bool) -> FitResult:
     chi_square = float(minima.chi_square[0])
     threshold = identifiability.threshold_95(problem.degrees_of_freedom, unknown)
     information = _information(problem, minima, 0)
-    sides, sizes = _one_sided(problem, found)
     errors = information.standard_errors.copy()
-    kinks = kink_values(problem)
     profiles: list[Profile] = []
     intervals: list[Pieces] = []
     closed: list[bool] = []
     at_kink: list[bool] = []
     one_sided: list[tuple[float, float] | None] = []
     for i in range(len(problem.nonlinear)):
-        left, right = (float(side.standard_errors[i]) for side in sides[i])
-        uneven = max(sizes[i]) > 1.5 * min(sizes[i])
-        if uneven and i == problem.is_angle:
-            errors[i] = np.fmax(left, right)
-        near = bool(np.any(np.abs(kinks - best[i]) < 3 * errors[i])) if i == problem.is_angle else False
-        at_kink.append(i == problem.is_angle and (near or uneven))
+        (beside,) = _sides(problem, best, i, best[i : i + 1])
+        if beside.uneven and i == problem.is_angle:
+            errors[i] = np.fmax(*beside.errors)
+        kink = _kink_within_reach(problem, best, i, 3 * errors[i])
+        at_kink.append(kink is not None)
+        left, right = beside.errors if kink is None else kink.errors
         one_sided.append((left, right))
         profile = Profile(problem, i, found.table)
         profile.add(Evaluation(*(getattr(minima, name) for name in Evaluation._fields)))
         for k in np.flatnonzero(minima.chi_square - chi_square < threshold):
             own = errors[i] if k == 0 else _information(problem, minima, int(k)).standard_errors[i]
-            beside = (np.fmin(left, own), np.fmin(right, own)) if k == 0 else (own, own)
-            profile.refine_around(float(minima.parameters[k, i]), *(float(b) for b in beside))
+            steps = (np.fmin(left, own), np.fmin(right, own)) if k == 0 else (own, own)
+            profile.refine_around(float(minima.parameters[k, i]), *(float(step) for step in steps))
         pieces, inside = profile.region(chi_square, threshold)
         profiles.append(profile)
         intervals.append(pieces)
         closed.append(inside)
-    linear = [
-        linear_profile(profiles[0].points, column, chi_square, threshold) for column in problem.linear_slots
-    ]
+    along = profiles[0].points if profiles else found.table
+    linear = [linear_profile(along, column, chi_square, threshold) for column in problem.linear_slots]
     return _assemble(
         problem, found, unknown, information, errors, profiles, linear, intervals, closed, at_kink, one_sided
     )

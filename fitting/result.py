@@ -5,11 +5,11 @@ import json
 import math
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fitting import files
 from fitting.measurement import Measurement
 
 STATUSES = ("converged", "not converged", "at bound", "not identifiable")
@@ -22,14 +22,15 @@ class Estimate:
     Args:
         value: best value; radians for an angle.
         standard_error: from the slope of the model at the minimum, NaN where the data do not determine the
-            parameter. At a kink it is that of the side where the model changes less.
+            parameter. Where that lies on a kink it is that of the side where the model changes less.
         interval_95: where the profile likelihood stays within the 95 % limit; several pieces if chi-square
             has several minima. Trust it over the standard error.
         unit: "rad" or "1".
         at_bound: the value lies on a bound of the allowed range.
-        at_kink: a kink of the model lies within three standard errors, or the model's slopes on both sides
-            differ by more than half.
-        one_sided_errors: standard errors from the model's slope on the left and on the right.
+        at_kink: the value lies on a kink of the model; or within three standard errors of one at which the
+            slopes on both sides differ by more than half.
+        one_sided_errors: standard errors from the model's slope on the left and on the right: of that kink, or
+            of the value if there is none.
     """
 
     value: float
@@ -69,7 +70,8 @@ class FitResult:
 
     Args:
         scene: with the fitted parameters and the measurement's view.
-        measurement: what was fitted.
+        measurement: what was fitted; its ``standard_uncertainty`` is the one that the fit used, also if that
+            was given to ``fit`` or estimated.
         estimates: by name.
         covariance: of the parameters in the order of ``estimates``, in Python units; NaN where singular.
         correlation: likewise, 1 on the diagonal.
@@ -194,11 +196,13 @@ class FitResult:
     def to_json(self, path: str | PathLike[str]) -> None:
         """Write ``to_dict()`` to a file as strict JSON (what is not finite becomes null).
 
+        The file is replaced as a whole or not at all.
+
         Raises:
             OSError: the file cannot be written.
         """
         text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
-        Path(path).write_text(text + "\n", encoding="utf-8")
+        files.write(path, text + "\n")
 
     def plot(self, path: str | PathLike[str]) -> None:
         """Draw the fit and its profiles to a picture file.

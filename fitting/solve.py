@@ -11,7 +11,7 @@ from fitting import search
 from fitting.measurement import Measurement
 from fitting.parameters import Parameter
 from fitting.polish import Polished, lane_count, polish, prepare
-from fitting.problem import Problem, build
+from fitting.problem import Evaluation, Problem, build
 from fitting.programs import CHUNK
 from fitting.report import Found, kink_values, report
 from fitting.result import FitResult
@@ -35,13 +35,13 @@ def fit(
     Chi-square, Σ ((measured - gain × model - offset) / σ)² plus the priors, is searched over the whole
     allowed range (every 0.2 degrees and at every kink for one angle; a product of coarser axes for two or
     three parameters). Its best distinct minima are polished by Levenberg-Marquardt, and each parameter is
-    profiled.
+    profiled. Gain and offset are solved for exactly.
     The values of the scene's free parameters do not matter: there is no start to choose.
 
     Args:
         scene: what the sample is; its view is replaced by the measurement's.
         measurement: what is fitted; NaN is left out.
-        parameters: from ``fitting.free``: one to three of the scene, gain and offset at will.
+        parameters: from ``fitting.free``: at most three of the scene, gain and offset at will.
         standard_uncertainty: one standard deviation for all values, as a fraction. It replaces the
             measurement's own. If neither is given it is estimated such that chi-square equals the degrees of
             freedom, intervals follow Student's t, and the fit cannot be tested.
@@ -59,9 +59,10 @@ def fit(
     if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 1:
         raise ValueError(f"max_steps is {max_steps!r}; expected a whole number of at least 1")
     problem = build(scene, measurement, parameters, standard_uncertainty, tolerance)
-    # The search is compiled first and needed first; both are compiled at the same time.
-    problem.programs.begin_chunk(problem.data)
-    prepare(problem, max_steps)
+    if problem.nonlinear:
+        # The search is compiled first and needed first; both are compiled at the same time.
+        problem.programs.begin_chunk(problem.data)
+        prepare(problem, max_steps)
     unknown = standard_uncertainty is None and measurement.standard_uncertainty is None
     found = _search(problem, max_steps)
     if unknown and problem.degrees_of_freedom > 0:
@@ -89,9 +90,30 @@ def _warn_of_float32() -> None:
 
 
 def _search(problem: Problem, max_steps: int) -> Found:
+    if not problem.nonlinear:
+        return _eliminate(problem)
     if len(problem.nonlinear) == 1:
         return _search_axis(problem, max_steps)
     return _search_product(problem, max_steps)
+
+
+def _eliminate(problem: Problem) -> Found:
+    """Only gain or offset are free: the answer is exact, and nothing is searched."""
+    chi_square, linear, variance, predicted = problem.alone()
+    if not np.isfinite(chi_square).all():
+        raise ValueError("the model gives no number for this scene; expected a scene that can be evaluated")
+    nothing = np.empty((1, 0))
+    found = Polished(
+        parameters=nothing,
+        chi_square=chi_square,
+        linear=linear,
+        variance=variance,
+        converged=np.ones(1, dtype=bool),
+        steps=np.zeros(1, dtype=int),
+        predicted=predicted,
+        slopes=np.empty((1, 0, *predicted.shape[1:])),
+    )
+    return Found(found, found.converged, Evaluation(nothing, chi_square, linear, variance))
 
 
 def _finite(cost: np.ndarray) -> np.ndarray:

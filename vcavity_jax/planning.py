@@ -37,6 +37,7 @@ class Plan:
     """What a scene needs, fixed before it is traced.
 
     Args:
+        darkest: the product of two panels' reflectances that may stand for zero.
         open: every panel is known to be fully lit and fully seen.
         balanced: light or view is known to meet both panels alike, so that one parity is enough.
         symmetric: every view is known to lie in the plane along the grooves.
@@ -48,6 +49,7 @@ class Plan:
         most: orders of kinks that it resolves.
     """
 
+    darkest: float
     open: bool
     balanced: bool
     symmetric: bool
@@ -112,6 +114,7 @@ def plan(scene: Scene, tolerance: float) -> Plan:
         if model == "full" and across_only:
             model = "separate"  # Without a component along the fold nothing couples s and p.
     return Plan(
+        darkest=0.1 * tolerance,
         open=fully,
         balanced=any(in_fold_plane),
         symmetric=in_fold_plane[0],

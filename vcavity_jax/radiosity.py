@@ -28,15 +28,15 @@ class Parities:
     second: Float[Array, " wavelengths"]
     alike: bool
     one_parity: bool
+    darkest: float
 
     @property
     def coupling(self) -> Float[Array, " wavelengths"]:
-        """ρ = √(r₁ r₂), with a gradient where one panel is black."""
+        """ρ = √(r₁ r₂). A black panel is lifted by what the tolerance allows: √ has no gradient at 0."""
         if self.alike:
             return self.first
         product = self.first * self.second
-        dark = jnp.asarray(1e-14 if product.dtype == jnp.float64 else 1e-7, product.dtype)
-        return jnp.sqrt(jnp.where(product < 1e-6, product + dark, product))
+        return jnp.sqrt(jnp.where(product < 1e-3, product + self.darkest, product))
 
     @property
     def kappa(self) -> Float[Array, " kappa"]:
@@ -44,9 +44,17 @@ class Parities:
         return self.coupling if self.one_parity else jnp.concatenate([self.coupling, -self.coupling])
 
     def split(self, value: Float[Array, "... kappa"]) -> tuple[Array, Array]:
-        """Even part, and odd part over ρ, of a function of κ."""
+        """Even and odd part of a function of κ: what stays on a panel, and what has changed sides."""
         plus, minus = jnp.split(value, 2, axis=-1)
-        return (plus + minus) / 2, (plus - minus) / (2 * self.coupling)
+        return (plus + minus) / 2, (plus - minus) / 2
+
+    def diffusely_lit(self, even: Array, odd: Array) -> tuple[Array, Array]:
+        """Radiance of the two panels in diffuse light, from the response to uniform light."""
+        exchange = odd / self.coupling
+        return (
+            1 - (1 - self.first) * even - self.first * (1 - self.second) * exchange,
+            1 - (1 - self.second) * even - self.second * (1 - self.first) * exchange,
+        )
 
 
 def _step(angle: Array, across: Array, normal: Array) -> Step:
@@ -64,7 +72,7 @@ def diffuse(
 ) -> Float[Array, "d w"]:
     """Diffuse light: HDR = 1 - (1 - r) T̃, where T̃ is the mean response over what a view sees."""
     _, across, normal = directions
-    parities = Parities(*reflectances, alike, one_parity=alike)
+    parities = Parities(*reflectances, alike, one_parity=alike, darkest=plan.darkest)
     if fully_seen:
         mean = lambertian.mean_response(angle, parities.kappa, plan.mean)
         means = jnp.broadcast_to(mean, (across.shape[0], mean.shape[0]))
@@ -72,14 +80,11 @@ def diffuse(
         factors = lambertian.factorize(angle, parities.kappa, plan.step)
         mean_of = partial(wiener_hopf.step_mean, factors, resolution=plan.step)
         means = jax.vmap(mean_of)(*_step(angle, across, normal))
-    first, second = reflectances
     if alike:
-        return 1 - (1 - first) * means
-    even, odd = parities.split(means)
+        return 1 - (1 - parities.first) * means
     share = panel_share(angle, across, normal)[:, None]
-    seen_first = 1 - (1 - first) * even - first * (1 - second) * odd
-    seen_second = 1 - (1 - second) * even - second * (1 - first) * odd
-    return share * seen_first + (1 - share) * seen_second
+    first, second = parities.diffusely_lit(*parities.split(means))
+    return share * first + (1 - share) * second
 
 
 def directional(
@@ -95,7 +100,7 @@ def directional(
     _, light_across, light_normal = components(light.polar, light.azimuth)
     seen = panel_share(angle, across, normal)[:, None]
     lit = panel_share(angle, light_across, light_normal)
-    parities = Parities(*reflectances, alike, one_parity=alike and plan.balanced)
+    parities = Parities(*reflectances, alike, one_parity=alike and plan.balanced, darkest=plan.darkest)
     if plan.open:
         mean = lambertian.mean_response(angle, parities.kappa, plan.mean)
         means = jnp.broadcast_to(mean, (across.shape[0], mean.shape[0]))
@@ -112,7 +117,7 @@ def directional(
     even, odd = parities.split(means)
     same = seen * lit * first + (1 - seen) * (1 - lit) * second
     other = seen * (1 - lit) + (1 - seen) * lit
-    return scale * (same * even + other * first * second * odd)
+    return scale * (same * even + other * parities.coupling * odd)
 
 
 def local_radiance(
@@ -128,7 +133,7 @@ def local_radiance(
         directional = local_radiance(light.directional, angle, reflectances, position, plan)
         return light.diffuse_fraction * diffuse + (1 - light.diffuse_fraction) * directional
     first, second = reflectances
-    parities = Parities(first, second, alike=False, one_parity=False)
+    parities = Parities(first, second, alike=False, one_parity=False, darkest=plan.darkest)
     factors = lambertian.factorize(angle, parities.kappa, plan.step)
     step = jnp.full((), wiener_hopf.FULL, position.dtype), jnp.ones((), position.dtype)
     lit = jnp.full((), 0.5, position.dtype)
@@ -145,17 +150,11 @@ def local_radiance(
         response = wiener_hopf.step_response(factors, field, step, distance, plan.step)
         return jnp.where(y == 0, fold, response)
 
-    response = jax.vmap(at)(position)
-    even, odd = parities.split(response)
+    even, odd = parities.split(jax.vmap(at)(position))
     if isinstance(light, Diffuse):
-        return jnp.stack(
-            [
-                1 - (1 - first) * even - first * (1 - second) * odd,
-                1 - (1 - second) * even - second * (1 - first) * odd,
-            ]
-        )
+        return jnp.stack(parities.diffusely_lit(even, odd))
     scale = 2 * jnp.sin(angle / 2)
-    other = first * second * odd
+    other = parities.coupling * odd
     return scale * jnp.stack(
         [lit * first * even + (1 - lit) * other, (1 - lit) * second * even + lit * other]
     )

@@ -114,6 +114,11 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
     what.add_argument(
         "--roughness-range", type=positive_range, metavar="LOW:HIGH", help="to search (default: 0.01:3)"
     )
+    what.add_argument(
+        "--no-priors",
+        action="store_true",
+        help="let gain and offset take any value (default: 1 ± 0.01 and 0 ± 0.002, Gaussian)",
+    )
     data = fit.add_argument_group("the measurement")
     data.add_argument("--column", metavar="NAME", help="the sample to take from a table of samples")
     data.add_argument(

@@ -1,14 +1,12 @@
 """`vcavity fit`: from a measurement to the groove's parameters."""
 
 import argparse
-import dataclasses
 import os
 import sys
 from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
 
 import vcavity_jax as vc
 from fitting import Measurement, fit, free
@@ -25,9 +23,6 @@ def run(given: argparse.Namespace) -> int:
             measurement = measurement.select(wavelengths_nm=given.wavelengths)
         except ValueError as error:
             raise ValueError(f"{given.measurement}: --wavelengths: {error}") from None
-    if given.uncertainty is not None:
-        sigma = np.full(measurement.reflectance_factor.shape, given.uncertainty)
-        measurement = dataclasses.replace(measurement, standard_uncertainty=sigma)
     held = _held(given)
     parameters = _free(given, held)
     scene = vc.Scene(
@@ -40,7 +35,13 @@ def run(given: argparse.Namespace) -> int:
     folder = source.with_name(f"{source.stem}-fit") if given.output is None else Path(given.output)
     _require_writable(folder)
 
-    result = fit(scene, measurement, parameters, tolerance=given.tolerance)
+    result = fit(
+        scene,
+        measurement,
+        parameters,
+        standard_uncertainty=given.uncertainty,
+        tolerance=given.tolerance,
+    )
 
     folder.mkdir(parents=True, exist_ok=True)
     written = folder / "fit.json", folder / "fit.png"
@@ -87,11 +88,15 @@ def _free(given: argparse.Namespace, held: dict[str, float]) -> list[Any]:
         raise ValueError(f"--{own}-range has no effect: {own} is fixed")
     if own not in held and own not in names:
         raise ValueError(f"{own} is neither free nor fixed: expected --free {own} or --fix {own}=VALUE")
-    return [_parameter(name, ranges.get(name)) for name in names]
+    if given.no_priors and not {"gain", "offset"} & set(names):
+        raise ValueError("--no-priors has no effect: expected --free gain or --free offset with it")
+    return [_parameter(name, ranges.get(name), given.no_priors) for name in names]
 
 
-def _parameter(name: str, limits: tuple[float, float] | None) -> Any:
+def _parameter(name: str, limits: tuple[float, float] | None, no_priors: bool) -> Any:
     make = getattr(free, name)
+    if no_priors and name in ("gain", "offset"):
+        return make(prior=None)
     if limits is None:
         return make()
     low, high = limits

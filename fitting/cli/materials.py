@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 
-from fitting.cli import output
+from fitting import files
 from vcavity_jax import materials
 
 
@@ -23,5 +23,5 @@ def run(given: argparse.Namespace) -> int:
     print(f"# {given.name}: refractive index n + ik, {materials.reference(given.name)}")
     print("wavelength_nm,n,k")
     for wavelength, value in zip(given.wavelengths, index.tolist(), strict=True):
-        print(",".join(map(output.number, (wavelength, value.real, value.imag))))
+        print(",".join(map(files.number, (wavelength, value.real, value.imag))))
     return 0

@@ -5,7 +5,8 @@ import argparse
 import numpy as np
 
 import vcavity_jax as vc
-from fitting.cli import arguments, output, scenes
+from fitting import files
+from fitting.cli import arguments, scenes
 
 
 def run(given: argparse.Namespace) -> int:
@@ -31,18 +32,18 @@ def run(given: argparse.Namespace) -> int:
     if given.output is None:
         print(text, end="")
     else:
-        output.write(given.output, text)
+        files.write(given.output, text)
     return 0
 
 
 def _head(given: argparse.Namespace) -> list[str]:
     """The metadata: what was computed, in the words of the command line."""
     own = arguments.OWN_PARAMETER[given.surface]
-    value = f"{np.rad2deg(given.angle):.10g} deg" if own == "angle" else output.number(given.roughness)
+    value = f"{np.rad2deg(given.angle):.10g} deg" if own == "angle" else files.number(given.roughness)
     choice = "index" if given.material == "specular" else "reflectance"
     light = "diffuse"
     if given.illumination is not None:
-        light = "directional, polar_deg={}, azimuth_deg={}".format(*map(output.number, given.illumination))
+        light = "directional, polar_deg={}, azimuth_deg={}".format(*map(files.number, given.illumination))
     what = f"{given.surface}, {own} {value}, {given.material}, {choice} {getattr(given, choice)}"
     return [
         f"# title: {arguments.one_line(what)}",
@@ -55,7 +56,7 @@ def _head(given: argparse.Namespace) -> list[str]:
 
 def _rows(directions: list[tuple[float, float]], wavelengths: list[float], factor: np.ndarray) -> list[str]:
     return [
-        ",".join(map(output.number, (wavelength, polar, azimuth, value)))
+        ",".join(map(files.number, (wavelength, polar, azimuth, value)))
         for (polar, azimuth), row in zip(directions, factor.tolist(), strict=True)
         for wavelength, value in zip(wavelengths, row, strict=True)
     ]

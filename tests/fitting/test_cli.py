@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import vcavity_jax as vc
-from fitting import Measurement
-from fitting.cli import BAD_INPUT, BROKEN_PIPE, INTERRUPTED, NO_ANSWER, arguments, main, output
+from fitting import Measurement, files
+from fitting.cli import BAD_INPUT, BROKEN_PIPE, INTERRUPTED, NO_ANSWER, arguments, main
 from vcavity_jax import materials
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "data"
@@ -357,10 +357,10 @@ def test_prediction_is_written_whole_or_not_at_all(
 def test_output_follows_links_and_leaves_devices_alone(tmp_path: Path) -> None:
     target, link = tmp_path / "target", tmp_path / "link"
     link.symlink_to(target)
-    output.write(link, "text")
+    files.write(link, "text")
     assert link.is_symlink()
     assert target.read_text(encoding="utf-8") == "text"
-    output.write(os.devnull, "text")
+    files.write(os.devnull, "text")
     assert not Path(os.devnull).is_file()
 
 
