@@ -116,7 +116,7 @@ def find_warnings(
     for name, estimate in estimates.items():
         if estimate.at_kink:
             found.append(
-                f"{name} lies at a kink of the model, where the slopes on its two sides differ: trust the 95 % "
+                f"{name} lies at a kink of the model, where the slopes on both sides differ: trust the 95 % "
                 "interval, not the standard error"
             )
         if name in open_names:

@@ -166,18 +166,18 @@ class LinearProfile:
 
 
 def linear_profile(points: Evaluation, column: int, minimum: float, threshold: float) -> LinearProfile:
-    """Profile of gain or offset from that of a nonlinear parameter, without another evaluation.
+    """Profile of gain or offset from that of a nonlinear parameter, if any, without another evaluation.
 
     At each value of the nonlinear parameter chi-square is a parabola in the gain, known exactly; the profile
     is the lower envelope of these parabolas.
 
     Args:
-        points: along the profile of a nonlinear parameter, ascending.
+        points: along the profile of a nonlinear parameter, ascending; a single one if there is none.
         column: 0 for gain, 1 for offset.
         minimum: chi-square at the best fit.
         threshold: by which the interval's ends exceed it.
     """
-    fine = _between(points, 16)
+    fine = _between(points, 16) if len(points.chi_square) > 1 else points
     delta, center = fine.chi_square - minimum, fine.linear[:, column]
     variance = fine.variance[:, column]
     within = np.isfinite(delta) & (delta < threshold) & np.isfinite(variance)

@@ -276,8 +276,8 @@ class _Mark:
 def _passed_on(scene: Any, slots: Sequence[int]) -> tuple[int, ...]:
     """Leaves of the scene that are handed to the compiled programs instead of being compiled in.
 
-    They are the material's, so that other materials of the same kind need no new compilation. A real index stays
-    in: the model must see that it is at least 1.
+    They are the material's, so that other materials of the same kind need no new compilation. A real index
+    stays in: the model must see that it is at least 1.
     """
     own = [] if _has_real_index(scene.material) else jax.tree.leaves(scene.material)
     places = enumerate(jax.tree.leaves(scene))
@@ -329,13 +329,16 @@ def _data(
     own: dict[str, Parameter] = {p.role: p for p in linear}
     priors = [p.prior for p in nonlinear] + [own[r].prior if r in own else None for r in ("gain", "offset")]
     bounds = [[p.natural(p.lower) for p in nonlinear], [p.natural(p.upper) for p in nonlinear]]
-    numbers = (
-        np.where(present, values, 0.0),
-        weights,
-        [0.0 if p is None else p[0] for p in priors],
-        [0.0 if p is None else 1 / p[1] for p in priors],
-        bounds,
-        [p.step_tolerance for p in nonlinear],
+
+    def array(numbers: Any) -> jax.Array:
+        return jnp.asarray(np.asarray(numbers), jnp.result_type(float))
+
+    return Data(
+        values=array(np.where(present, values, 0.0)),
+        weights=array(weights),
+        prior_mean=array([0.0 if p is None else p[0] for p in priors]),
+        prior_weight=array([0.0 if p is None else 1 / p[1] for p in priors]),
+        bounds=array(bounds),
+        step=array([p.step_tolerance for p in nonlinear]),
+        known=known,
     )
-    dtype = jnp.result_type(float)
-    return Data(*(jnp.asarray(np.asarray(number), dtype) for number in numbers), known)

@@ -1,7 +1,7 @@
 """What is compiled of a scene: the model, and its chi-square with gain and offset eliminated.
 
-The known directions and surface of a scene are compiled in, because the model picks cheaper paths for them; the
-material is passed on. Programs are kept, so that the next fit of the same kind of scene, with the same
+The known directions and surface of a scene are compiled in, because the model picks cheaper paths for them;
+the material is passed on. Programs are kept, so that the next fit of the same kind of scene, with the same
 directions, starts at once, whatever its material.
 """
 
@@ -119,7 +119,7 @@ class Programs:
             (D, L).
         logarithmic: which of the P parameters are searched by their logarithm.
         roles: which of "gain" and "offset" are free.
-        quick: the model is so cheap that compiling takes longer than running.
+        quick: so few values are predicted that compiling a polish takes longer than running it.
         compiled: by name; each is ready, or becomes so in the background.
     """
 
@@ -231,14 +231,14 @@ def programs_for(
 
     numbers = [jax.ShapeDtypeStruct((), dtype) for _ in slots]
     others = [leaves[i] for i in passed]
-    found = jax.eval_shape(lambda v, k: vc.reflectance_factor(place(v, k), tolerance), numbers, others).shape[1:]
+    full = jax.eval_shape(lambda v, k: vc.reflectance_factor(place(v, k), tolerance), numbers, others)
+    found = full.shape[1:]
     if found not in ((), (shape[1],)):
         raise ValueError(
             f"the material has wavelength shape {found}, the measurement {shape[1]} wavelengths; expected () "
             f"or ({shape[1]},): tabulate the material at the measurement's wavelengths"
         )
-    plain = isinstance(scene.surface, vc.VGrooves) and isinstance(scene.material, vc.Specular)
-    quick = plain and int(np.prod(shape)) <= _QUICK_VALUES
+    quick = int(np.prod(shape)) <= _QUICK_VALUES
     _KEPT[key] = Programs(model, tuple(scale == "log" for scale in scales), roles, quick)
     while len(_KEPT) > _MOST_KEPT:
         _KEPT.popitem(last=False)

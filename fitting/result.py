@@ -29,8 +29,8 @@ class Estimate:
         at_bound: the value lies on a bound of the allowed range.
         at_kink: the value lies on a kink of the model; or within three standard errors of one at which the
             slopes on both sides differ by more than half.
-        one_sided_errors: standard errors from the model's slope on the left and on the right: of that kink, or
-            of the value if there is none.
+        one_sided_errors: standard errors from the model's slope on the left and on the right: of that kink,
+            or of the value if there is none.
     """
 
     value: float

@@ -77,36 +77,40 @@ def _known_directions(scene: Scene) -> list[tuple[np.ndarray, ...]] | None:
     return known
 
 
-def plan(scene: Scene, tolerance: float) -> Plan:
-    """The least work that keeps the tolerance for a scene."""
+def plan(scene: Scene, tolerance: float, smallest_angle: float | None = None) -> Plan:
+    """The least work that keeps the tolerance for a scene.
+
+    Args:
+        scene: what is traced in it counts as unknown.
+        tolerance: absolute error of the reflectance factor.
+        smallest_angle: of a groove angle that is traced, radians.
+    """
     tolerance = resolution.check_tolerance(tolerance)
-    cutoff = resolution.slope_cutoff(tolerance)
-    directions = _known_directions(scene)
-    in_fold_plane = [bool(np.all(np.abs(y) < 1e-15)) for _, y, _ in directions] if directions else [False]
-    angle: float | None = None
-    most = 0
-    if isinstance(scene.surface, VGrooves):
+    if isinstance(scene.material, Specular) and isinstance(scene.surface, VGrooves):
+        cutoff, order, most = 0.0, 0, 0  # An exact finite sum: it serves every tolerance and angle.
+        angle = None
+        tolerance = 0.1
+    elif isinstance(scene.surface, VGrooves):
+        cutoff, order, most = 0.0, 0, 0
         value = concrete(scene.surface.angle)
-        angle = None if value is None else float(np.min(value))
+        angle = smallest_angle if value is None else float(np.min(value))
     else:
+        cutoff, order = resolution.slope_cutoff(tolerance), resolution.panel_order(tolerance)
         value = concrete(scene.surface.roughness)
         rough = _ROUGHEST if value is None else max(float(np.max(value)), 1e-3)
         angle = 2 * float(np.arctan2(1, rough * cutoff))
         # A coarse ladder of orders keeps the number of compiled programs small.
         most = 2 ** int(np.ceil(np.log2(2 * np.pi / angle + 1)))
-    visible: float | None = None
-    fully = False
-    if directions is not None:
-        fully = all(in_fold_plane)
-        if angle is not None:
-            reach = [np.abs(y) * np.cos(angle / 2) - z * np.sin(angle / 2) for _, y, z in directions]
-            if isinstance(scene.surface, VGrooves):
-                fully = fully or bool(max(np.max(r) for r in reach) <= 0)
-            narrowest = resolution.planned_angle(angle)
-            s, c = np.sin(narrowest / 2), np.cos(narrowest / 2)
-            visible = min(float(np.min(2 * z * s / (np.abs(y) * c + z * s))) for _, y, z in directions)
-            # Two cases only: every one is compiled for itself. Beyond, the rim layer is treated in full.
-            visible = _CLEARLY_VISIBLE if visible >= _CLEARLY_VISIBLE else None
+    directions = _known_directions(scene)
+    in_fold_plane = [bool(np.all(np.abs(y) < 1e-15)) for _, y, _ in directions] if directions else [False]
+    fully, visible = all(in_fold_plane), None
+    if directions is not None and angle is not None:
+        if isinstance(scene.surface, VGrooves):
+            fully = fully or all(np.all(_hidden(angle, y, z) <= 0) for _, y, z in directions)
+        narrowest = resolution.planned_angle(angle)
+        seen = min(float(np.min(1 - np.maximum(_hidden(narrowest, y, z), 0))) for _, y, z in directions)
+        # Two cases only: every one is compiled for itself. Beyond, the rim layer is treated in full.
+        visible = _CLEARLY_VISIBLE if seen >= _CLEARLY_VISIBLE else None
     model: Polarization = "full"
     if isinstance(scene.material, Specular):
         model = scene.material.polarization
@@ -121,10 +125,16 @@ def plan(scene: Scene, tolerance: float) -> Plan:
         model=model,
         mean=resolution.mean_resolution(tolerance, angle),
         step=resolution.step_resolution(tolerance, angle, visible),
-        order=resolution.panel_order(tolerance),
+        order=order,
         cutoff=cutoff,
         most=most,
     )
+
+
+def _hidden(angle: float, across: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Hidden depth of the panel that faces a direction; negative where both panels are met."""
+    facing, behind = np.abs(across) * np.cos(angle / 2), normal * np.sin(angle / 2)
+    return (facing - behind) / (facing + behind)
 
 
 def with_safe_index(scene: Scene) -> Scene:

@@ -19,15 +19,22 @@ POLARIZATIONS: tuple[Polarization, ...] = ("full", "unpolarized", "separate")
 
 
 def _real(value: ArrayLike) -> Array:
-    """Turn a number into an array of JAX's float type: a bare Python float would recompile for each value."""
-    return jnp.asarray(value, dtype=jnp.result_type(float)) if _is_plain(value) else jnp.asarray(value)
+    """Turn a number into an array of JAX's float type: a bare Python float would recompile for each value.
+
+    Known numbers stay known inside a traced function, so that the work can be planned for them.
+    """
+    if not _is_plain(value):
+        return jnp.asarray(value)
+    with jax.ensure_compile_time_eval():
+        return jnp.asarray(value, dtype=jnp.result_type(float))
 
 
 def _index(value: ArrayLike) -> Array:
     """The same for a refractive index: a real one stays real (a dielectric), a complex one complex."""
     if not _is_plain(value):
         return jnp.asarray(value)
-    return jnp.asarray(value, dtype=jnp.result_type(complex if np.iscomplexobj(value) else float))
+    with jax.ensure_compile_time_eval():
+        return jnp.asarray(value, dtype=jnp.result_type(complex if np.iscomplexobj(value) else float))
 
 
 def _is_plain(value: Any) -> bool:

@@ -21,28 +21,25 @@ Jones = tuple[Inexact[Array, "..."], ...]
 
 
 def reflection_shares(
-    angle: Float[Array, "..."], across: Float[Array, "..."], normal: Float[Array, "..."], side: int
+    angle: Float[Array, "..."], across: Float[Array, "..."], normal: Float[Array, "..."]
 ) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
     """How often a ray that first meets one panel is reflected: M or M - 1 times, with which shares.
 
     Args:
         angle: dihedral angle, radians.
-        across: e_y of the direction.
+        across: e_y of the direction for the panel at y < 0, -e_y for the other.
         normal: e_z of the direction, ≥ 0.
-        side: +1 for the panel at y < 0, -1 for the other.
 
     Returns:
         M (whole numbers, at least 1, without gradient), the aperture's share of M reflections and that of
         M - 1. The four shares of both sides sum to 1.
     """
-    section = jnp.arctan2(
-        side * across, jnp.where((across == 0) & (normal == 0), jnp.ones_like(normal), normal)
-    )
+    section = jnp.arctan2(across, jnp.where((across == 0) & (normal == 0), jnp.ones_like(normal), normal))
     first = angle / 2 + section
     both = (jnp.pi - first) / angle
     alone = (jnp.pi - 2 * section) / angle
     count = lax.stop_gradient(jnp.maximum(jnp.floor(jnp.where(first < angle, both, alone)) + 1, 1))
-    share = panel_share(angle, side * across, normal)
+    share = panel_share(angle, across, normal)
     steps = (count - 1) * angle / 2
     # With a single reflection cos θ' may vanish; it is not needed then.
     height = jnp.where(count > 1, normal, jnp.ones_like(normal))
@@ -132,11 +129,10 @@ def _side(
     across: Array,
     normal: Array,
     contrast: Array,
-    side: int,
 ) -> Float[Array, "..."]:
-    """What the paths that first meet one panel contribute."""
-    count, share, share_fewer = reflection_shares(angle, across, normal, side)
-    geometry = (angle, along, side * across, normal)
+    """What the paths that first meet one panel contribute; e_y counts from that panel's side."""
+    count, share, share_fewer = reflection_shares(angle, across, normal)
+    geometry = (angle, along, across, normal)
     # Reflectances are no holomorphic function of the index, amplitudes are: only the latter stay complex.
     split = model == "unpolarized" and jnp.iscomplexobj(contrast)
     tail = (contrast.real, contrast.imag) if split else (contrast,)
@@ -145,7 +141,7 @@ def _side(
     calm = (
         jnp.where(seen, angle, jnp.ones_like(angle)),
         along,
-        jnp.where(seen, side * across, jnp.zeros_like(across)),
+        jnp.where(seen, across, jnp.zeros_like(across)),
         jnp.where(seen, normal, jnp.ones_like(normal)),
     )
     final = _reflect(model, fewer, count, *calm, contrast)
@@ -177,7 +173,8 @@ def hemispherical_directional(
         reflections changes, and there the gradient of one side is returned.
     """
     contrast = permittivity_contrast(index)
-    arguments = (model, angle, along, across, normal, contrast)
     if symmetric:
-        return 2 * _side(*arguments, side=1)
-    return _side(*arguments, side=1) + _side(*arguments, side=-1)
+        return 2 * _side(model, angle, along, across, normal, contrast)
+    rank = max(jnp.ndim(argument) for argument in (angle, along, across, normal, contrast))
+    sides = jnp.reshape(jnp.asarray([1.0, -1.0], across.dtype), (2, *(1,) * rank))
+    return jnp.sum(_side(model, angle, along, sides * across, normal, contrast), axis=0)

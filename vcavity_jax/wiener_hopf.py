@@ -40,13 +40,16 @@ class Resolution:
 
 
 class Contour(NamedTuple):
-    """Half of the contour; the other half is its image under τ → -conj τ, where everything conjugates."""
+    """Half of the contour; the other half is its image under τ → -conj τ, where everything conjugates.
+
+    ``cauchy`` is the Cauchy kernel 1/(i(τ_l + τ_m)) over both halves, as a real matrix for stacked real and
+    imaginary parts: half the products of complex arithmetic.
+    """
 
     tau: np.ndarray
     weight: np.ndarray
     inner: int
     cauchy: np.ndarray
-    cauchy_mirrored: np.ndarray
 
 
 _TILT, _SYMBOL_TILT, _SYMBOL_END = 0.45, 0.9, 30.0
@@ -54,19 +57,23 @@ _TILT, _SYMBOL_TILT, _SYMBOL_END = 0.45, 0.9, 30.0
 
 @lru_cache(maxsize=64)
 def contour(resolution: Resolution) -> Contour:
-    """The contour τ = sinh(x - 0.45 i)/2, and the Cauchy kernels 1/(i(τ_l + τ_m)), 1/(i(τ_m - conj τ_l))."""
+    """The contour τ = sinh(x - 0.45 i)/2 and its Cauchy kernel."""
     x = np.arange(int(np.ceil(resolution.reach / resolution.step)) + 1) * resolution.step - 1j * _TILT
     tau, weight = np.sinh(x) / 2, resolution.step * np.cosh(x) / 2
     weight[0] /= 2
     end = np.arccosh(max(resolution.extent / (0.45 * resolution.smallest_angle), 1.1))
     inner = min(int(np.ceil(end / resolution.step)), len(tau))
-    return Contour(tau, weight, inner, -1j / (tau[:, None] + tau), -1j / (tau[:, None] - tau.conj()))
+    here, mirrored = -1j / (tau[:, None] + tau), -1j / (tau[:, None] - tau.conj())
+    both, difference = here + mirrored, here - mirrored
+    cauchy = np.block([[both.real, -difference.imag], [both.imag, difference.real]])
+    return Contour(tau, weight, inner, cauchy)
 
 
 def complex_expm1(x: Float[Array, "..."], y: Float[Array, "..."]) -> Complex[Array, "..."]:
     """exp(x + iy) - 1 without cancellation."""
-    half = jnp.sin(y / 2)
-    return lax.complex(jnp.expm1(x) * jnp.cos(y) - 2 * half * half, jnp.exp(x) * jnp.sin(y))
+    growth, sine, cosine = jnp.expm1(x), jnp.sin(y / 2), jnp.cos(y / 2)
+    turn = 2 * sine * sine
+    return lax.complex(growth * (1 - turn) - turn, (growth + 1) * 2 * sine * cosine)
 
 
 def _constant(values: np.ndarray, like: Array) -> Array:
@@ -98,15 +105,12 @@ def factorize(
     """
     grid = contour(resolution)
     tau, weight = _constant(grid.tau, complement), _constant(grid.weight, complement)
-    cauchy, mirrored = _constant(grid.cauchy, complement), _constant(grid.cauchy_mirrored, complement)
     inner_tau, inner_weight = tau[: grid.inner], weight[: grid.inner]
     factor = (1 - kappa).astype(complement.dtype) + kappa.astype(complement.dtype) * complement[:, None]
     logarithm = jnp.log(factor)
     weighted = logarithm * inner_weight[:, None]
     rim = jnp.exp(-jnp.sum(weighted / (inner_tau - 0.5j)[:, None], axis=0).imag / jnp.pi)
-    exponent = (cauchy[:, : grid.inner] @ weighted + mirrored[:, : grid.inner] @ weighted.conj()) / (
-        2 * jnp.pi
-    )
+    exponent = _over_both_halves(grid, weighted) / (2 * jnp.pi)
     exponent = exponent.at[: grid.inner].add(-logarithm)
     edge = (weight / (2 * jnp.pi * (0.5 + 1j * tau)))[:, None] * complex_expm1(exponent.real, exponent.imag)
     whole = (inner_weight / (2 * jnp.pi * (0.25 + inner_tau * inner_tau)))[:, None] * (1 - factor) / factor
@@ -162,10 +166,16 @@ def edge_field(
     grid = contour(resolution)
     tau = _constant(grid.tau, factors.edge)
     weighted = _step(tau, distance, visible)[:, None] * factors.edge
-    return factors.edge * (
-        _constant(grid.cauchy, factors.edge) @ weighted
-        + _constant(grid.cauchy_mirrored, factors.edge) @ weighted.conj()
-    )
+    return factors.edge * _over_both_halves(grid, weighted)
+
+
+def _over_both_halves(grid: Contour, weighted: Complex[Array, "n kappa"]) -> Complex[Array, "nodes kappa"]:
+    """Σ weighted_l / (i(τ_l + τ_m)) over both halves of the contour, for given values on the first nodes."""
+    count, nodes = weighted.shape[0], len(grid.tau)
+    kernel = np.concatenate([grid.cauchy[:, :count], grid.cauchy[:, nodes : nodes + count]], axis=1)
+    stacked = jnp.concatenate([weighted.real, weighted.imag])
+    real, imaginary = jnp.split(jnp.asarray(kernel, stacked.dtype) @ stacked, 2)
+    return lax.complex(real, imaginary)
 
 
 def step_step(
