@@ -39,7 +39,14 @@ def mirror(model: Any) -> Callable[..., Any]:
 
 
 def lit(
-    angle: Any, polar: Any, azimuth: Any, light: Any, turn: Any, first: Any, second: Any, tolerance: float = 1e-12
+    angle: Any,
+    polar: Any,
+    azimuth: Any,
+    light: Any,
+    turn: Any,
+    first: Any,
+    second: Any,
+    tolerance: float = 1e-12,
 ) -> Any:
     material = vc.TwoPanels(vc.Lambertian(first), vc.Lambertian(second))
     scene = vc.Scene(vc.VGrooves(angle), material, vc.Directional(light, turn), vc.View(polar, azimuth))
@@ -72,11 +79,15 @@ def test_mirror_records(model: str) -> None:
     angles = (np.radians([r[key] for r in records]) for key in ("alpha_deg", "theta_deg", "phi_deg"))
     columns = [jnp.asarray(c) for c in (*angles, [r["n"] for r in records], [r["k"] for r in records])]
     gradient = jax.jit(jax.vmap(jax.grad(mirror(MODELS[model]), argnums=(0, 1, 2, 3, 4))))(*columns)
-    for name, found in zip(("alpha_per_rad", "theta_per_rad", "phi_per_rad", "n", "k"), gradient, strict=True):
+    for name, found in zip(
+        ("alpha_per_rad", "theta_per_rad", "phi_per_rad", "n", "k"), gradient, strict=True
+    ):
         truth = np.array([np.nan if r["d" + name] is None else r["d" + name] for r in records])
         given = np.isfinite(truth)
         assert given.sum() > 20
-        np.testing.assert_allclose(np.asarray(found)[given], truth[given], rtol=1e-9, atol=1e-14, err_msg=name)
+        np.testing.assert_allclose(
+            np.asarray(found)[given], truth[given], rtol=1e-9, atol=1e-14, err_msg=name
+        )
 
 
 def test_diffuser_records() -> None:
@@ -129,7 +140,9 @@ def compare(function: Callable[..., Any], columns: list[np.ndarray], names: str)
         expected = differences(lambda x, i=i: batch(*values[:i], x, *values[i + 1 :]), values[i], 1e-4)
         error = np.abs(np.asarray(gradient[i]) - expected)
         worst = int(np.argmax(error - 1e-6 * np.maximum(np.abs(expected), scale)))
-        message = f"{name} of {[float(c[worst]) for c in columns]}: {gradient[i][worst]} for {expected[worst]}"
+        message = (
+            f"{name} of {[float(c[worst]) for c in columns]}: {gradient[i][worst]} for {expected[worst]}"
+        )
         assert error[worst] <= 1e-6 * max(abs(expected[worst]), scale[worst]), message
 
 
@@ -197,7 +210,7 @@ def public_beckmann(parameter: Any, index: Any, polar: Any, azimuth: Any, model:
 SURFACES = {"grooves": (grooves, 0.83, 1e-4), "Beckmann": (beckmann, 0.6, 1e-3)}
 
 
-def all_ways(value: Callable[..., Any], at: float, step: float, model: Any) -> None:
+def all_ways(value: Callable[..., Any], at: float, step: float, model: Any, brief: bool = False) -> None:
     """XLA for the CPU once miscompiled the derivative of the loop when index and view were constants of it.
 
     Finite differences of the plain value: 1e-6, from steps of fourth order and the quadrature's own error.
@@ -213,6 +226,8 @@ def all_ways(value: Callable[..., Any], at: float, step: float, model: Any) -> N
     compiled = jax.jit(constant)
     expected = differences(compiled, x, step)
     np.testing.assert_allclose(jax.grad(compiled)(x), expected, rtol=1e-6, err_msg="grad of jit")
+    if brief:  # every further way takes ten seconds to compile
+        return
     np.testing.assert_allclose(jax.jit(jax.jacfwd(constant))(x), expected, rtol=1e-6, err_msg="forward")
     rest = tuple(jnp.asarray(a) for a in (WAVES, POLAR, AZIMUTH))
     np.testing.assert_allclose(jax.jit(jax.grad(arguments))(x, *rest), expected, rtol=1e-6, err_msg="traced")
@@ -222,13 +237,14 @@ def all_ways(value: Callable[..., Any], at: float, step: float, model: Any) -> N
 @pytest.mark.parametrize("surface", SURFACES)
 def test_constants_closed_over(surface: str, model: str) -> None:
     value, at, step = SURFACES[surface]
-    all_ways(value, at, step, model)
+    all_ways(value, at, step, model, brief=surface == "Beckmann" and model != "unpolarized")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS.values())
-def test_constants_closed_over_public(model: str) -> None:
-    all_ways(public_beckmann, 0.6, 1e-3, model)
+@pytest.mark.parametrize("value", [beckmann, public_beckmann])
+def test_constants_closed_over_in_every_way(value: Any, model: str) -> None:
+    all_ways(value, 0.6, 1e-3, model)
 
 
 @pytest.mark.parametrize("surface", SURFACES)
@@ -244,7 +260,6 @@ def test_index_and_view_with_the_surface_constant(surface: str) -> None:
     compiled = jax.jit(constant)
     expected = [differences(lambda x, i=i: compiled(p.at[i].set(x)), p[i], step) for i in range(3)]
     np.testing.assert_allclose(jax.grad(compiled)(p), expected, rtol=1e-6)
-    np.testing.assert_allclose(jax.jit(jax.jacfwd(constant))(p), expected, rtol=1e-6)
 
 
 def test_not_compiled() -> None:
@@ -294,7 +309,9 @@ AZIMUTHS = [0.0, 0.5, np.pi / 2, 1e-12]
 INDICES = [1 + 0j, 1 + 1e-9 + 0j, 1.5 + 0j, 50 + 0j, 1 + 20j, 0.05 + 0j, 0.05 + 3j, GOLD]
 
 
-def assert_all_finite(function: Callable[..., Any], columns: list[Any], lowest: float, highest: float) -> None:
+def assert_all_finite(
+    function: Callable[..., Any], columns: list[Any], lowest: float, highest: float
+) -> None:
     every = tuple(range(len(columns)))
     value, gradient = jax.jit(jax.vmap(jax.value_and_grad(function, argnums=every)))(*columns)
     for name, what in zip(("value", *every), (value, *gradient), strict=True):
@@ -330,15 +347,22 @@ def test_diffusers_finite_everywhere() -> None:
     assert_all_finite(partial(lit, tolerance=1e-6), grid, 0, np.inf)
 
 
-def test_random_grooves_finite_everywhere() -> None:
+@pytest.mark.parametrize("model", ["separate", pytest.param("full", marks=pytest.mark.slow)])
+def test_random_grooves_finite_everywhere(model: Any) -> None:
     """Also as the roughness vanishes, and for an index of one."""
 
     def value(m: Any, polar: Any, azimuth: Any, n: Any, k: Any) -> Any:
         direction = components(polar, azimuth)
         return roughness.specular_average(
-            m, *direction, jax.lax.complex(n, k), "full", symmetric=False, order=5, cutoff=4.0, most=16
+            m, *direction, jax.lax.complex(n, k), model, symmetric=False, order=5, cutoff=4.0, most=16
         )
 
-    grid = [[0.0, 1e-9, 0.3, 2.0], [0.0, 0.9, np.pi / 2], [0.0, 0.5, np.pi / 2], [0.05, 1.0, 50.0], [0.0, 3.0]]
+    grid = [
+        [0.0, 1e-9, 0.3, 2.0],
+        [0.0, 0.9, np.pi / 2],
+        [0.0, 0.5, np.pi / 2],
+        [0.05, 1.0, 50.0],
+        [0.0, 3.0],
+    ]
     columns = [jnp.asarray(g.ravel()) for g in np.meshgrid(*grid, indexing="ij")]
     assert_all_finite(value, columns, 0, 1 + 1e-12)

@@ -79,7 +79,9 @@ def of(section: str, degrees: float, light: Any) -> list[dict[str, Any]]:
 
 def fully_met(degrees: float, name: Any) -> bool:
     polar, azimuth = direction(name)
-    return abs(np.arctan2(np.sin(polar) * np.cos(azimuth), np.cos(polar))) <= np.radians(degrees) / 2 * (1 + 1e-9)
+    return abs(np.arctan2(np.sin(polar) * np.cos(azimuth), np.cos(polar))) <= np.radians(degrees) / 2 * (
+        1 + 1e-9
+    )
 
 
 def bound(degrees: float, light: Any, seen: Any) -> float:

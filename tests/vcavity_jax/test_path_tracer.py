@@ -18,7 +18,8 @@ TRUTH: list[dict[str, Any]] = json.loads(
 
 def radians(records: list[dict[str, Any]]) -> tuple[jax.Array, ...]:
     return tuple(
-        jnp.radians(jnp.asarray([float(r[k]) for r in records])) for k in ("alpha_deg", "theta_deg", "phi_deg")
+        jnp.radians(jnp.asarray([float(r[k]) for r in records]))
+        for k in ("alpha_deg", "theta_deg", "phi_deg")
     )
 
 
@@ -71,7 +72,8 @@ def test_diffusers() -> None:
     @jax.vmap
     def one(angle: Any, polar: Any, azimuth: Any, reflectance: Any) -> Any:
         return vc.reflectance_factor(
-            vc.Scene(vc.VGrooves(angle), vc.Lambertian(reflectance), vc.Diffuse(), vc.View(polar, azimuth)), 1e-6
+            vc.Scene(vc.VGrooves(angle), vc.Lambertian(reflectance), vc.Diffuse(), vc.View(polar, azimuth)),
+            1e-6,
         )
 
     assert_within_noise(one(*radians(records), reflectance), records)
