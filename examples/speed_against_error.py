@@ -46,9 +46,6 @@ GOLD = np.interp(WAVELENGTHS, KNOTS, (1.6, 1.3, 0.34, 0.22, 0.15)) + 1j * np.int
 
 SMALLEST_ANGLE, LARGEST_ANGLE = np.deg2rad(20.0), np.deg2rad(170.0)
 
-CHUNK = 32
-"""Scenes that run side by side: more of them no longer fit into the caches, and gain nothing."""
-
 TOLERANCE_OF_REFERENCE = 1e-13
 ROUNDING = float(np.finfo(float).eps)
 """No reference is better than this: a smaller difference counts as this one."""
@@ -67,6 +64,11 @@ class Case:
     light: tuple[float, float] | None
     view: tuple[float, float]
     specular: bool
+
+    @property
+    def chunk(self) -> int:
+        """Scenes that run side by side: with more, the states of the specular model leave the caches."""
+        return 10 if self.specular else 128
 
     @property
     def optical(self) -> Array:
@@ -97,7 +99,7 @@ class Case:
             exact = partial(thesis_recipe.exact_entries, view=self.view)
             return np.array([thesis_recipe.specular(a, GOLD, self.view, exact(a)) for a in angles])
         evaluate = partial(self.ours(TOLERANCE_OF_REFERENCE), optical=self.optical)
-        return np.asarray(jax.jit(partial(jax.lax.map, evaluate, batch_size=CHUNK))(angles))
+        return np.asarray(jax.jit(partial(jax.lax.map, evaluate, batch_size=self.chunk))(angles))
 
 
 CASES = (
@@ -158,11 +160,11 @@ def compiled(function: Callable[..., Any], *arguments: Array) -> tuple[Callable[
     return program, time.perf_counter() - before
 
 
-def over_scenes(function: Callable[[Array], Any], count: int) -> Callable[[Array], Any]:
+def over_scenes(function: Callable[[Array], Any], count: int, chunk: int) -> Callable[[Array], Any]:
     """The function for one scene, or for a batch in chunks."""
     if count == 1:
         return lambda angles: jax.tree.map(lambda x: x[None], function(angles[0]))
-    return partial(jax.lax.map, function, batch_size=CHUNK)
+    return partial(jax.lax.map, function, batch_size=chunk)
 
 
 def time_thesis(case: Case, angles: np.ndarray) -> tuple[float, np.ndarray]:
@@ -190,7 +192,7 @@ def measure(
             batch = jnp.asarray(angles[:count])
             extrapolated = count * per_scene > patience
             if not extrapolated:
-                program, compile_s = compiled(over_scenes(evaluate, count), batch)
+                program, compile_s = compiled(over_scenes(evaluate, count, case.chunk), batch)
                 per_scene = median_time(lambda: program(batch), patience / 10) / count  # noqa: B023
                 if count == 1:
                     values = np.concatenate([program(jnp.asarray([angle])) for angle in checked])
@@ -226,7 +228,7 @@ def measure_gradients(
     value_s = 0.0
     for name in ("value", *kinds):
         batch, optical = jnp.asarray(angles), case.optical
-        vectorized = over_scenes(lambda a, f=functions[name]: f(a, optical), len(batch))  # noqa: B023
+        vectorized = over_scenes(lambda a, f=functions[name]: f(a, optical), len(batch), case.chunk)  # noqa: B023
         program, compile_s = compiled(vectorized, batch)
         seconds = median_time(lambda: program(batch), patience / 10) / len(batch)  # noqa: B023
         if name == "value":

@@ -74,7 +74,7 @@ def threshold_95(degrees_of_freedom: int, uncertainty_estimated: bool) -> float:
     3.84 if the uncertainty is known; the squared 97.5 % point of Student's t, that is the F-type limit, if it
     is estimated from the same residuals.
     """
-    if not uncertainty_estimated or degrees_of_freedom < 1:
+    if not uncertainty_estimated:
         return _LIKELIHOOD_95
     return float(stdtrit(degrees_of_freedom, 0.975)) ** 2
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from fitting.polish import lane_count, polish
+from fitting.identifiability import local_information
+from fitting.polish import Polished, lane_count, polish
 from fitting.problem import Evaluation, Problem
 from fitting.programs import CHUNK
 from fitting.search import section_roots
@@ -53,7 +54,7 @@ class Profile:
             found = self._problem.evaluate(values[:, None])
         else:
             found = self._minimized(values, self.points if starts is None else starts)
-        self.add(found)
+        self._add(found)
         return found.chi_square
 
     def _minimized(self, values: np.ndarray, starts: Evaluation) -> Evaluation:
@@ -67,10 +68,25 @@ class Profile:
         points[:, self._slot] = values
         movable = np.ones(points.shape, dtype=bool)
         movable[:, self._slot] = False
-        end = polish(self._problem, points, movable)
-        return Evaluation(end.parameters, end.chi_square, end.linear, end.variance)
+        return self._profiled(polish(self._problem, points, movable))
 
-    def add(self, found: Evaluation) -> None:
+    def _profiled(self, end: Polished) -> Evaluation:
+        """Points of this profile: the variances of gain and offset are those at a fixed value of it."""
+        problem, variance = self._problem, end.variance.copy()
+        if len(problem.nonlinear) > 1 and problem.linear:
+            for k, gain in enumerate(end.linear[:, 0]):
+                # The other parameters give way when the gain moves.
+                jacobian = problem.jacobian(end.predicted[k], gain * end.slopes[k])
+                errors = local_information(np.delete(jacobian, self._slot, axis=1)).standard_errors
+                own = errors[-len(problem.linear) :] ** 2
+                variance[k, problem.linear_slots] = np.where(np.isnan(own), np.inf, own)
+        return Evaluation(end.parameters, end.chi_square, end.linear, variance)
+
+    def add_minima(self, minima: Polished) -> None:
+        """Put the minima that were found in."""
+        self._add(self._profiled(minima))
+
+    def _add(self, found: Evaluation) -> None:
         """Put points in, in order."""
         joined = Evaluation(*(np.concatenate(pair) for pair in zip(self.points, found, strict=True)))
         _, order = np.unique(joined.parameters[:, self._slot], return_index=True)
@@ -168,8 +184,9 @@ class LinearProfile:
 def linear_profile(points: Evaluation, column: int, minimum: float, threshold: float) -> LinearProfile:
     """Profile of gain or offset from that of a nonlinear parameter, if any, without another evaluation.
 
-    At each value of the nonlinear parameter chi-square is a parabola in the gain, known exactly; the profile
-    is the lower envelope of these parabolas.
+    At each value of the nonlinear parameter chi-square is a parabola in the gain; the profile is the lower
+    envelope of these parabolas. They are exact for a single nonlinear parameter; with more, the others follow
+    the gain by the slopes of the model.
 
     Args:
         points: along the profile of a nonlinear parameter, ascending; a single one if there is none.

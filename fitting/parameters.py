@@ -17,6 +17,11 @@ Number = float | int
 Prior = tuple[Number, Number]
 
 
+def displayed(value: Any, unit: str) -> Any:
+    """A value, or an array of them, as it is printed: degrees for radians."""
+    return np.degrees(value) if unit == "rad" else value
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One free parameter. The functions of ``fitting.free`` make the usual ones.
@@ -76,14 +81,9 @@ class Parameter:
                 "positive standard deviation, or None"
             )
 
-    @property
-    def display_unit(self) -> str:
-        """The unit of printed values: "deg" for an angle, else "1"."""
-        return "deg" if self.unit == "rad" else self.unit
-
     def displayed(self, value: Any) -> Any:
-        """A value, or an array of them, in ``display_unit``."""
-        return np.degrees(value) if self.unit == "rad" else value
+        """A value, or an array of them, as it is printed: degrees for an angle."""
+        return displayed(value, self.unit)
 
     def natural(self, value: Any) -> np.ndarray:
         """Coordinate of the search: the value, or its logarithm."""

@@ -279,13 +279,11 @@ def _passed_on(scene: Any, slots: Sequence[int]) -> tuple[int, ...]:
     They are the material's, so that other materials of the same kind need no new compilation. A real index
     stays in: the model must see that it is at least 1.
     """
-    own = [] if _has_real_index(scene.material) else jax.tree.leaves(scene.material)
-    places = enumerate(jax.tree.leaves(scene))
-    return tuple(i for i, leaf in places if i not in slots and any(leaf is part for part in own))
-
-
-def _has_real_index(material: Any) -> bool:
-    return isinstance(material, vc.Specular) and not jnp.iscomplexobj(material.index)
+    if isinstance(scene.material, vc.Specular) and not jnp.iscomplexobj(scene.material.index):
+        return ()
+    marks = jax.tree.map(lambda _: _Mark(), scene.material)
+    leaves = enumerate(jax.tree.leaves(eqx.tree_at(lambda s: s.material, scene, marks)))
+    return tuple(i for i, leaf in leaves if isinstance(leaf, _Mark) and i not in slots)
 
 
 def _recheck(node: Any, prefix: str) -> None:

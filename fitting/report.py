@@ -9,6 +9,7 @@ from jaxtyping import Float
 import vcavity_jax as vc
 from fitting import identifiability
 from fitting.intervals import LinearProfile, Pieces, Profile, linear_profile
+from fitting.parameters import Parameter
 from fitting.polish import Polished, polish
 from fitting.problem import Evaluation, Problem
 from fitting.result import Estimate, FitResult, Minimum
@@ -122,7 +123,7 @@ def report(problem: Problem, found: Found, unknown: bool) -> FitResult:
         left, right = beside.errors if kink is None else kink.errors
         one_sided.append((left, right))
         profile = Profile(problem, i, found.table)
-        profile.add(Evaluation(*(getattr(minima, name) for name in Evaluation._fields)))
+        profile.add_minima(minima)
         for k in np.flatnonzero(minima.chi_square - chi_square < threshold):
             own = errors[i] if k == 0 else _information(problem, minima, int(k)).standard_errors[i]
             steps = (np.fmin(left, own), np.fmin(right, own)) if k == 0 else (own, own)
@@ -210,6 +211,11 @@ def _assemble(
     )
 
 
+def _anything_goes(parameter: Parameter, estimates: dict[str, Estimate]) -> bool:
+    """Whether the interval is the whole allowed range: then a best value on a bound is an accident."""
+    return estimates[parameter.name].interval_95 == [(parameter.lower, parameter.upper)]
+
+
 def _status(
     problem: Problem,
     estimates: dict[str, Estimate],
@@ -217,9 +223,9 @@ def _status(
     information: identifiability.LocalInformation,
     converged: bool,
 ) -> tuple[str, str]:
-    bound = [name for name, estimate in estimates.items() if estimate.at_bound]
+    bound = [p for p in problem.nonlinear if estimates[p.name].at_bound and not _anything_goes(p, estimates)]
     if bound:
-        p = next(q for q in problem.nonlinear if q.name == bound[0])
+        p = bound[0]
         which = "lower" if estimates[p.name].value - p.lower < p.upper - estimates[p.name].value else "upper"
         edge = p.displayed(p.lower if which == "lower" else p.upper)
         return "at bound", (

@@ -11,6 +11,7 @@ import numpy as np
 
 from fitting import files
 from fitting.measurement import Measurement
+from fitting.parameters import displayed
 
 STATUSES = ("converged", "not converged", "at bound", "not identifiable")
 
@@ -48,7 +49,7 @@ class Estimate:
 
     def displayed(self, number: Any) -> Any:
         """A number, or an array of them, in ``display_unit``."""
-        return np.degrees(number) if self.unit == "rad" else number
+        return displayed(number, self.unit)
 
 
 @dataclass(frozen=True)
@@ -209,6 +210,7 @@ class FitResult:
 
         Raises:
             OSError: the file cannot be written.
+            ValueError: its ending is not .png, .pdf or .svg.
         """
         from fitting.plots import plot_fit
 

@@ -44,7 +44,8 @@ def fit(
         parameters: from ``fitting.free``: at most three of the scene, gain and offset at will.
         standard_uncertainty: one standard deviation for all values, as a fraction. It replaces the
             measurement's own. If neither is given it is estimated such that chi-square equals the degrees of
-            freedom, intervals follow Student's t, and the fit cannot be tested.
+            freedom, intervals follow Student's t, and the fit cannot be tested. The measurement in the result
+            holds the one that was used.
         tolerance: bound on the model's numerical error.
         max_steps: most steps of a polish.
 
@@ -64,8 +65,13 @@ def fit(
         problem.programs.begin_chunk(problem.data)
         prepare(problem, max_steps)
     unknown = standard_uncertainty is None and measurement.standard_uncertainty is None
+    if unknown and problem.degrees_of_freedom == 0:
+        raise ValueError(
+            "the measurement states no uncertainty, and no degree of freedom is left to estimate it; "
+            "expected standard_uncertainty=, more values, or fewer free parameters"
+        )
     found = _search(problem, max_steps)
-    if unknown and problem.degrees_of_freedom > 0:
+    if unknown:
         # Priors do not scale with the uncertainty, hence the repetition; without them the second pass agrees.
         for _ in range(8):
             factor = np.sqrt(found.minima.chi_square[0] / problem.degrees_of_freedom)

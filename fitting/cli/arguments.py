@@ -338,6 +338,7 @@ def one_line(message: str) -> str:
 def in_options(message: str) -> str:
     """A message of the library in the words of the command line."""
     message = message.replace("expected column= one of", "expected --column with one of")
+    message = message.replace("expected standard_uncertainty=", "expected --uncertainty")
     message = message.replace("say free.angle()", "say --free angle")
     message = message.replace("vcavity_jax.materials.names() lists", "'vcavity materials' lists")
     return re.sub(r"expected reflectance_unit='(\w+)'", r"expected --reflectance-unit \1", message)

@@ -91,7 +91,7 @@ def test_shortcuts_are_the_general_path() -> None:
     def general(m: Any, index: Any) -> Any:
         return roughness.specular_average(m, zero, zero, one, index, "full", False, **rest)
 
-    np.testing.assert_allclose(short(m), general(m, 1.5 + 0j * one), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(short(m), general(m, one.astype(complex) * 1.5), rtol=0, atol=1e-13)
 
 
 def test_planned_shortcut_keeps_the_records() -> None:
