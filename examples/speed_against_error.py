@@ -318,9 +318,7 @@ def describe_machine() -> dict[str, str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "outdir", nargs="?", type=Path, help="where to write; by default a new temporary folder"
-    )
+    parser.add_argument("outdir", nargs="?", type=Path, help="where to write; by default a new temporary folder")
     parser.add_argument("--full", action="store_true", help="the whole table, minutes instead of seconds")
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)

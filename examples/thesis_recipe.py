@@ -159,12 +159,8 @@ if __name__ == "__main__":
     oblique = np.deg2rad(35.0), np.deg2rad(30.0)
     r, n = np.array([0.5, 0.93]), np.array([0.3239 + 2.5972j, 4.077 + 0.028j])
 
-    def ours(
-        material: vc.Lambertian | vc.Specular, light: vc.Diffuse | vc.Directional, view: Direction
-    ) -> Real:
-        return np.asarray(
-            vc.reflectance_factor(vc.Scene(vc.VGrooves(groove), material, light, vc.View(*view)))
-        )
+    def ours(material: vc.Lambertian | vc.Specular, light: vc.Diffuse | vc.Directional, view: Direction) -> Real:
+        return np.asarray(vc.reflectance_factor(vc.Scene(vc.VGrooves(groove), material, light, vc.View(*view))))
 
     frontal = 0.0, 0.0
     slanted = np.deg2rad(45.0), 0.0

@@ -23,9 +23,7 @@ def angle(lower_deg: Number = 5.0, upper_deg: Number = 180.0, prior: Prior | Non
             f"dihedral angles from {lower_deg:g} to {upper_deg:g} degrees; expected 0 < lower < upper ≤ 180"
         )
     radians = None if prior is None else (math.radians(prior[0]), math.radians(prior[1]))
-    return Parameter(
-        "angle", _angle, math.radians(lower_deg), math.radians(upper_deg), prior=radians, unit="rad"
-    )
+    return Parameter("angle", _angle, math.radians(lower_deg), math.radians(upper_deg), prior=radians, unit="rad")
 
 
 def roughness(lower: Number = 0.01, upper: Number = 3.0, prior: Prior | None = None) -> Parameter:

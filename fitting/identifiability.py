@@ -135,9 +135,7 @@ def find_warnings(
     return tuple(found)
 
 
-def _fit_quality(
-    problem: Problem, chi_square: float, rms_misfit: float, uncertainty_estimated: bool
-) -> list[str]:
+def _fit_quality(problem: Problem, chi_square: float, rms_misfit: float, uncertainty_estimated: bool) -> list[str]:
     found = []
     dof = problem.degrees_of_freedom
     if dof == 0:

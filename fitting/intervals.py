@@ -100,9 +100,7 @@ class Profile:
     def refine_around(self, place: float, left: float, right: float) -> None:
         """Add points beside a minimum, spaced by its standard errors on either side."""
         parameter = self._problem.nonlinear[self._slot]
-        shares = (
-            np.arange(1, 17) / 4 if len(self._problem.nonlinear) == 1 else np.array([0.5, 1, 1.5, 2, 2.5])
-        )
+        shares = np.arange(1, 17) / 4 if len(self._problem.nonlinear) == 1 else np.array([0.5, 1, 1.5, 2, 2.5])
         sides = [place - shares * left, place + shares * right]
         wanted = np.concatenate([side for side in sides if np.isfinite(side).all()] or [np.empty(0)])
         wanted = wanted[(wanted > parameter.lower) & (wanted < parameter.upper)]
@@ -143,9 +141,7 @@ class Profile:
         for first, last in self._runs(minimum, threshold):
             low, high = values[first], values[last]
             if first > 0:
-                low = _crossing(
-                    values[first - 1 : first + 1][::-1], delta[first - 1 : first + 1][::-1], threshold
-                )
+                low = _crossing(values[first - 1 : first + 1][::-1], delta[first - 1 : first + 1][::-1], threshold)
             if last < len(values) - 1:
                 high = _crossing(values[last : last + 2], delta[last : last + 2], threshold)
             closed = closed and first > 0 and last < len(values) - 1

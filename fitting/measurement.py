@@ -57,8 +57,7 @@ class Measurement:
             object.__setattr__(self, "illumination", _illumination(None))
         elif isinstance(self.illumination, str):
             raise ValueError(
-                f"illumination is the text {self.illumination!r}; "
-                "expected a light such as vcavity_jax.Diffuse()"
+                f"illumination is the text {self.illumination!r}; expected a light such as vcavity_jax.Diffuse()"
             )
         self._check_axes()
         self._check_values()

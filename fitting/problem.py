@@ -194,7 +194,10 @@ def build(
     data = _data(measurement, nonlinear, linear, fixed)
     roles = tuple(p.role for p in linear)
     scales = tuple(p.scale for p in nonlinear)
-    programs = programs_for(scene, slots, known, scales, roles, tolerance, data.values.shape, place)
+    smallest_angle = None if is_angle is None else nonlinear[is_angle].lower
+    programs = programs_for(
+        scene, slots, known, scales, roles, tolerance, smallest_angle, data.values.shape, place
+    )
     problem = Problem(scene, measurement, nonlinear, linear, is_angle, data, programs, place)
     if problem.degrees_of_freedom < 0:
         raise ValueError(

@@ -9,6 +9,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -192,6 +193,7 @@ def programs_for(
     scales: tuple[str, ...],
     roles: tuple[str, ...],
     tolerance: float,
+    smallest_angle: float | None,
     shape: tuple[int, ...],
     place: Callable[[Sequence[Any], Sequence[Any]], Any],
 ) -> Programs:
@@ -204,6 +206,7 @@ def programs_for(
         scales: "linear" or "log" for each of them.
         roles: which of "gain" and "offset" are free.
         tolerance: bound on the model's numerical error.
+        smallest_angle: of a free dihedral angle, radians.
         shape: (D, L) of the measurement.
         place: puts free values and those passed on into the scene.
 
@@ -220,18 +223,31 @@ def programs_for(
         for i, leaf in enumerate(leaves)
     )
     dtype = jnp.result_type(float)
-    key = (tree, known, tuple(slots), tuple(passed), scales, roles, tolerance, shape, str(dtype))
+    key = (
+        tree,
+        known,
+        tuple(slots),
+        tuple(passed),
+        scales,
+        roles,
+        tolerance,
+        smallest_angle,
+        shape,
+        str(dtype),
+    )
     if key in _KEPT:
         _KEPT.move_to_end(key)
         return _KEPT[key]
 
+    evaluate = partial(vc.reflectance_factor, tolerance=tolerance, smallest_angle=smallest_angle)
+
     def model(values: Array, others: tuple[Array, ...]) -> Array:
-        factor = vc.reflectance_factor(place([values[i] for i in range(len(slots))], others), tolerance)
+        factor = evaluate(place([values[i] for i in range(len(slots))], others))
         return jnp.broadcast_to(factor if factor.ndim == 2 else factor[:, None], shape)
 
     numbers = [jax.ShapeDtypeStruct((), dtype) for _ in slots]
     others = [leaves[i] for i in passed]
-    full = jax.eval_shape(lambda v, k: vc.reflectance_factor(place(v, k), tolerance), numbers, others)
+    full = jax.eval_shape(lambda v, k: evaluate(place(v, k)), numbers, others)
     found = full.shape[1:]
     if found not in ((), (shape[1],)):
         raise ValueError(

@@ -74,9 +74,7 @@ def _sides(problem: Problem, best: Float[np.ndarray, " p"], slot: int, values: A
     ]
 
 
-def _kink_within_reach(
-    problem: Problem, best: Float[np.ndarray, " p"], slot: int, reach: float
-) -> _Sides | None:
+def _kink_within_reach(problem: Problem, best: Float[np.ndarray, " p"], slot: int, reach: float) -> _Sides | None:
     """The kink that a fit feels most, None if it feels none.
 
     A kink within reach counts if the slopes on its sides differ; if the value lies on it, in any case.

@@ -147,9 +147,7 @@ class FitResult:
         return f"chi-square {self.chi_square:.4g}, degrees of freedom {dof}{ratio}; {misfit}"
 
     def _describe(self, minimum: Minimum) -> str:
-        values = [
-            f"{name} {self.estimates[name].displayed(value):.4g}" for name, value in minimum.values.items()
-        ]
+        values = [f"{name} {self.estimates[name].displayed(value):.4g}" for name, value in minimum.values.items()]
         return f"{', '.join(values)} (chi-square {minimum.chi_square:.4g})"
 
     def to_dict(self) -> dict[str, Any]:

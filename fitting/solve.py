@@ -165,9 +165,7 @@ def _search_axis(problem: Problem, max_steps: int) -> Found:
     kept: list[int] = []
     for index in np.argsort(chis, kind="stable"):
         basin = np.flatnonzero((ends[:, 0] <= candidates[index]) & (candidates[index] <= ends[:, 1]))
-        apart = (
-            np.abs(parameter.natural(candidates[index]) - parameter.natural(candidates[kept])) if kept else []
-        )
+        apart = np.abs(parameter.natural(candidates[index]) - parameter.natural(candidates[kept])) if kept else []
         taken = any(a < 1e-3 * separation for a in apart) or any(
             ends[b, 0] <= candidates[k] <= ends[b, 1] for b in basin for k in kept
         )

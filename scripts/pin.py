@@ -126,9 +126,7 @@ def main() -> int:
         print("\n".join([*found, "run: python scripts/pin.py"]) if found else "the pins agree")
         return bool(found)
     before = (ROOT / "pyproject.toml").read_text()
-    requirements, runtime, development = resolve(
-        with_constraints(before, []) if arguments.upgrade else before
-    )
+    requirements, runtime, development = resolve(with_constraints(before, []) if arguments.upgrade else before)
     write(RUNTIME, runtime)
     write(DEVELOPMENT, development)
     write("pyproject.toml", with_constraints((ROOT / "pyproject.toml").read_text(), requirements))

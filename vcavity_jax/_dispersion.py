@@ -80,12 +80,8 @@ def tabulated_curves(
         if row[0] <= 0:
             fail(label, at, f"wavelength {row[0]:.10g} nm; expected wavelengths above 0")
         if table and row[0] <= table[-1][0]:
-            problem = (
-                "repeats the row before" if row[0] == table[-1][0] else f"follows {table[-1][0]:.10g} nm"
-            )
-            fail(
-                label, at, f"wavelength {row[0]:.10g} nm {problem}; expected strictly increasing wavelengths"
-            )
+            problem = "repeats the row before" if row[0] == table[-1][0] else f"follows {table[-1][0]:.10g} nm"
+            fail(label, at, f"wavelength {row[0]:.10g} nm {problem}; expected strictly increasing wavelengths")
         if quantities[0] == "n" and row[1] <= 0:
             fail(label, at, f"n = {row[1]:g}; expected n > 0")
         if quantities[-1] == "k":

@@ -48,9 +48,7 @@ def kink_angles(scene: Scene, lower: float, upper: float) -> np.ndarray:
         polar, azimuth = np.append(polar, light.polar), np.append(azimuth, light.azimuth)
     section = np.arctan2(np.sin(polar) * np.cos(azimuth), np.cos(polar)).ravel()
     if isinstance(scene.material, Specular):
-        found = np.asarray(
-            reflection_kinks(jnp.asarray(section), int(np.ceil(2 * np.pi / lower)) + 1)
-        ).ravel()
+        found = np.asarray(reflection_kinks(jnp.asarray(section), int(np.ceil(2 * np.pi / lower)) + 1)).ravel()
     else:
         found = 2 * np.abs(section)
     return np.unique(found[(found >= lower) & (found <= upper)])

@@ -119,9 +119,7 @@ def symbol_complement(angle: Float[Array, ""], resolution: Resolution) -> Comple
     # A path made for much narrower grooves runs on to where the kernel is nothing but its factors overflow.
     needed = t.real < 2 * end
     t = jnp.where(needed, t, jnp.zeros_like(t))
-    roots = jnp.sqrt(-complex_expm1(-t.real, angle - t.imag)) * jnp.sqrt(
-        -complex_expm1(-t.real, -angle - t.imag)
-    )
+    roots = jnp.sqrt(-complex_expm1(-t.real, angle - t.imag)) * jnp.sqrt(-complex_expm1(-t.real, -angle - t.imag))
     kernel = jnp.exp(-1.5 * t) / roots**3 * (jnp.sin(angle) ** 2 / 2).astype(dtype)
     measure = jnp.where(needed, kernel * width.astype(dtype) * jnp.asarray(slope, dtype), jnp.zeros_like(t))
     tau = jnp.asarray(grid.tau[: grid.inner], dtype)
@@ -134,8 +132,6 @@ def symbol_complement(angle: Float[Array, ""], resolution: Resolution) -> Comple
     return smooth.astype(dtype) - moved
 
 
-def factorize(
-    angle: Float[Array, ""], kappa: Float[Array, " kappa"], resolution: Resolution
-) -> Factorization:
+def factorize(angle: Float[Array, ""], kappa: Float[Array, " kappa"], resolution: Resolution) -> Factorization:
     """(1 - κK)⁻¹ of the groove, for each κ from -1 to 1."""
     return wiener_hopf.factorize(symbol_complement(angle, resolution), kappa, resolution)

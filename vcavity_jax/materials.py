@@ -165,9 +165,7 @@ def _bundled(name: str) -> _Table:
         close = [known for known in folded if wanted and known.startswith(wanted)]
         close = close or difflib.get_close_matches(wanted, folded)
         hint = f"did you mean {' or '.join(folded[known] for known in close)}? " if close else ""
-        raise ValueError(
-            f"{name!r} is not a bundled material: {hint}vcavity_jax.materials.names() lists them all"
-        )
+        raise ValueError(f"{name!r} is not a bundled material: {hint}vcavity_jax.materials.names() lists them all")
     return _parse((_folder() / f"{name}.yml").read_bytes(), name, ".yml")
 
 
@@ -294,9 +292,7 @@ def _yaml_curves(label: str, entry: Any) -> list[Curve]:
     if match := re.fullmatch("tabulated (nk|n|k)", kind):
         words("data")
         rows = enumerate(fields["data"].value.split("\n"), start=_line(fields["data"]) + 1)
-        return tabulated_curves(
-            label, line, match[1], [(i, row.split()) for i, row in rows if row.strip()], 3
-        )
+        return tabulated_curves(label, line, match[1], [(i, row.split()) for i, row in rows if row.strip()], 3)
     if not re.fullmatch("formula [1-9]", kind):
         expected = "'tabulated nk', 'tabulated n', 'tabulated k' or 'formula 1' to 'formula 9'"
         fail(label, _line(fields["type"]), f"type {kind[:40]!r} is unknown; expected {expected}")

@@ -155,6 +155,4 @@ def local_radiance(
         return jnp.stack(parities.diffusely_lit(even, odd))
     scale = 2 * jnp.sin(angle / 2)
     other = parities.coupling * odd
-    return scale * jnp.stack(
-        [lit * first * even + (1 - lit) * other, (1 - lit) * second * even + lit * other]
-    )
+    return scale * jnp.stack([lit * first * even + (1 - lit) * other, (1 - lit) * second * even + lit * other])

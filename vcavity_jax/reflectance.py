@@ -85,9 +85,7 @@ def radiance_profile(
         [SaintPierre2020, sections 3.3 to 3.5].
     """
     if isinstance(scene.material, Specular) or isinstance(scene.surface, BeckmannGrooves):
-        raise ValueError(
-            "a radiance profile needs diffusing panels and one groove angle: Lambertian, VGrooves"
-        )
+        raise ValueError("a radiance profile needs diffusing panels and one groove angle: Lambertian, VGrooves")
     position = jnp.asarray(position, jnp.result_type(float))
     value = concrete(position)
     if value is not None and not np.all((value >= 0) & (value <= 1)):

@@ -118,9 +118,7 @@ def specular_average(
 
         # What the cutoff leaves out counts as its end: so the weights sum to 1.
         end = groove_angle(roughness, jnp.asarray(cutoff, roughness.dtype))
-        tail = tail_weight(cutoff) * hemispherical_directional(
-            end, along, across, normal, index, model, symmetric
-        )
+        tail = tail_weight(cutoff) * hemispherical_directional(end, along, across, normal, index, model, symmetric)
         wide = min(_WIDE_PANELS, panels)
         total = add_panels(0, wide, order, jnp.broadcast_to(tail, shape))
         return add_panels(wide, panels, max(3, int(np.ceil(0.6 * order))), total)

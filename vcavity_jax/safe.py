@@ -14,9 +14,7 @@ def floor_of(x: Inexact[Array, "..."]) -> float:
     return float(jnp.finfo(x.dtype).tiny) ** 0.2
 
 
-def safe_divide(
-    numerator: Inexact[Array, "..."], denominator: Inexact[Array, "..."]
-) -> Inexact[Array, "..."]:
+def safe_divide(numerator: Inexact[Array, "..."], denominator: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
     """Numerator / denominator, and 0 with zero gradient where the denominator vanishes.
 
     ``where`` alone does not shield a gradient from NaN, so the divisor itself is replaced as well.
@@ -53,9 +51,7 @@ def elementwise_forward(function: Callable[..., Any], nested: bool = False) -> C
 
     @partial(wrapped.defjvp, symbolic_zeros=True)
     def rule(primals: tuple[Array, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
-        perturbed = [
-            i for i, t in enumerate(tangents) if not isinstance(t, jax.custom_derivatives.SymbolicZero)
-        ]
+        perturbed = [i for i, t in enumerate(tangents) if not isinstance(t, jax.custom_derivatives.SymbolicZero)]
         if not perturbed:
             out = function(*primals)
             return out, jax.tree.map(jnp.zeros_like, out)

@@ -128,9 +128,7 @@ class Lambertian(eqx.Module):
     def __check_init__(self) -> None:
         value = concrete(self.reflectance)
         if value is not None:
-            _refuse(
-                "a reflectance", value, ~((value >= 0) & (value <= 1)), "0 to 1", ". Did you pass percent?"
-            )
+            _refuse("a reflectance", value, ~((value >= 0) & (value <= 1)), "0 to 1", ". Did you pass percent?")
 
 
 class Specular(eqx.Module):

@@ -149,9 +149,7 @@ def _add_predict_options(predict: argparse.ArgumentParser) -> None:
     _add_scene_options(predict)
     predict.add_argument("--angle", type=angle, metavar="DEG", help="dihedral angle of v-grooves: 45deg")
     predict.add_argument("--roughness", type=roughness, metavar="M", help="Beckmann roughness m")
-    predict.add_argument(
-        "--wavelengths", type=grid, required=True, metavar="NM", help="400:700:10 or 450,550,650"
-    )
+    predict.add_argument("--wavelengths", type=grid, required=True, metavar="NM", help="400:700:10 or 450,550,650")
     predict.add_argument(
         "--polar", type=polar_angles, default=[0.0], metavar="DEG", help="view angles: 0,30,60 (default: 0)"
     )

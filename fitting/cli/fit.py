@@ -15,9 +15,7 @@ from fitting.cli import arguments, scenes
 
 def run(given: argparse.Namespace) -> int:
     """Fit, print the answer, write fit.json and fit.png; 0 if the answer can be trusted, else 1."""
-    measurement = Measurement.read(
-        given.measurement, column=given.column, reflectance_unit=given.reflectance_unit
-    )
+    measurement = Measurement.read(given.measurement, column=given.column, reflectance_unit=given.reflectance_unit)
     if given.wavelengths is not None:
         try:
             measurement = measurement.select(wavelengths_nm=given.wavelengths)

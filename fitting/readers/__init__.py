@@ -108,9 +108,7 @@ def read_text(path: str | PathLike[str]) -> str:
         too_large = file.stat().st_size > MAX_FILE_BYTES
         data = b"" if too_large else stream.read(MAX_FILE_BYTES + 1)
     if too_large or len(data) > MAX_FILE_BYTES:
-        raise ValueError(
-            f"{name}:1: the file is larger than {MAX_FILE_BYTES >> 20} MB; expected a measurement"
-        )
+        raise ValueError(f"{name}:1: the file is larger than {MAX_FILE_BYTES >> 20} MB; expected a measurement")
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise ValueError(f"{name}:1: the text is UTF-16; expected UTF-8")
     data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
@@ -169,9 +167,7 @@ def read_table(path: str | PathLike[str]) -> TextTable:
             try:
                 cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
             except csv.Error as error:
-                raise ValueError(
-                    f"{name}:{line_number}: {error}; expected cells of a few characters"
-                ) from None
+                raise ValueError(f"{name}:{line_number}: {error}; expected cells of a few characters") from None
         if rows and len(cells) != len(rows[0]):
             raise ValueError(
                 f"{name}:{line_number}: {len(cells)} cells in this row; expected {len(rows[0])} "

@@ -43,9 +43,7 @@ class Contents:
     metadata: dict[str, str]
 
 
-def read(
-    path: str | PathLike[str], *, column: str | None = None, reflectance_unit: str | None = None
-) -> Contents:
+def read(path: str | PathLike[str], *, column: str | None = None, reflectance_unit: str | None = None) -> Contents:
     """Read a measurement in one of the native formats; nothing is sorted, clipped, filled or guessed.
 
     Args:
@@ -195,9 +193,7 @@ def _wavelengths(table: TextTable, names: dict[str, int]) -> _Vector:
 def _angles(table: TextTable, names: dict[str, int], name: str, limit: float) -> _Vector:
     """A view angle in degrees for each row, from its column or from the metadata; frontal by default."""
     if name in names and name in table.entries:
-        raise table.error(
-            table.entries[name].line, f"{name} is metadata and a column too; expected one of them"
-        )
+        raise table.error(table.entries[name].line, f"{name} is metadata and a column too; expected one of them")
     if name in names:
         values = _numbers(table, names, name)
     else:
@@ -234,9 +230,7 @@ def _reflectance(
     raw = _numbers(table, names, value_name)
     present = ~np.isnan(raw)
     if not present.any():
-        raise table.error(
-            table.lines[0], f"{value_name} is missing in every row; expected at least one value"
-        )
+        raise table.error(table.lines[0], f"{value_name} is missing in every row; expected at least one value")
     if scale is None:
         hint = "this looks like percent; expected '# reflectance_unit: percent' (or fraction) to be declared"
         _refuse(table, names, value_name, raw > _LOOKS_LIKE_PERCENT, hint)
@@ -245,9 +239,7 @@ def _reflectance(
     if _UNCERTAINTY in table.entries:
         entry = table.entries[_UNCERTAINTY]
         if _UNCERTAINTY in names:
-            raise table.error(
-                entry.line, f"{_UNCERTAINTY} is metadata and a column too; expected one of them"
-            )
+            raise table.error(entry.line, f"{_UNCERTAINTY} is metadata and a column too; expected one of them")
         uncertainty = np.where(present, _metadata_number(table, _UNCERTAINTY), np.nan)
     elif _UNCERTAINTY in names:
         uncertainty = _numbers(table, names, _UNCERTAINTY)
@@ -258,9 +250,7 @@ def _reflectance(
         uncertainty = uncertainty * scale
         noise = np.fmax(noise, 5 * uncertainty)
     values = raw * scale
-    _refuse(
-        table, names, value_name, values < -noise, "below zero by more than noise; expected a reflectance"
-    )
+    _refuse(table, names, value_name, values < -noise, "below zero by more than noise; expected a reflectance")
     return values, uncertainty
 
 

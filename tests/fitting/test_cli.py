@@ -81,9 +81,7 @@ def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> N
         (["fit", "two\nlines.csv", *MIRROR], "two lines.csv: no such file"),
     ],
 )
-def test_bad_usage_is_told_in_one_line(
-    capsys: pytest.CaptureFixture[str], argv: list[str], said: str
-) -> None:
+def test_bad_usage_is_told_in_one_line(capsys: pytest.CaptureFixture[str], argv: list[str], said: str) -> None:
     assert said in refusal(capsys, *argv)
 
 
@@ -309,9 +307,7 @@ def test_polarization_reaches_the_model(
     np.testing.assert_array_equal(m.reflectance_factor, vc.reflectance_factor(scene))
 
 
-def test_flat_sample_is_used_as_measured_or_resampled(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_flat_sample_is_used_as_measured_or_resampled(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     flat = tmp_path / "flat.csv"
     flat.write_text("wavelength_nm,reflectance\n400,0.1\n450,0.3\n500,0.2\n550,0.6\n", encoding="utf-8")
     m = predicted(capsys, tmp_path, *PLANE, *MATTE, str(flat))
@@ -426,9 +422,7 @@ def test_fit_of_a_mirror(capsys: pytest.CaptureFixture[str], tmp_path: Path, sta
     fit(capsys, tmp_path, GOLD, *MIRROR)
     scene, m = stand_in.scene, Measurement.read(GOLD)
     assert isinstance(scene.surface, vc.VGrooves)
-    np.testing.assert_array_equal(
-        scene.material.index, materials.refractive_index("Au-Johnson", m.wavelengths_nm)
-    )
+    np.testing.assert_array_equal(scene.material.index, materials.refractive_index("Au-Johnson", m.wavelengths_nm))
     assert scene.material.polarization == "full"
     assert isinstance(scene.illumination, vc.Diffuse)
     np.testing.assert_array_equal(scene.view.polar, m.polar)
@@ -438,9 +432,7 @@ def test_fit_of_a_mirror(capsys: pytest.CaptureFixture[str], tmp_path: Path, sta
     assert stand_in.options == {"standard_uncertainty": None, "tolerance": 1e-8}
 
 
-def test_fit_of_a_matte_surface(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, stand_in: StandIn
-) -> None:
+def test_fit_of_a_matte_surface(capsys: pytest.CaptureFixture[str], tmp_path: Path, stand_in: StandIn) -> None:
     fit(capsys, tmp_path, ORANGE, *MATTE, FLAT)
     expected = Measurement.read(FLAT).reflectance_factor[0]
     np.testing.assert_array_equal(stand_in.scene.material.reflectance, expected)
@@ -486,9 +478,7 @@ def test_free_and_fixed_parameters(
         assert stand_in.scene.surface.roughness == 0.3
 
 
-def test_priors_of_gain_and_offset(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, stand_in: StandIn
-) -> None:
+def test_priors_of_gain_and_offset(capsys: pytest.CaptureFixture[str], tmp_path: Path, stand_in: StandIn) -> None:
     options = ["--free", "angle", "--free", "gain", "--free", "offset"]
     fit(capsys, tmp_path, GOLD, *MIRROR, *options)
     assert stand_in.priors == {"angle": None, "gain": (1.0, 0.01), "offset": (0.0, 0.002)}

@@ -27,9 +27,7 @@ def test_links_are_followed_and_devices_left_alone(tmp_path: Path) -> None:
     assert not Path(os.devnull).is_file()
 
 
-def test_failure_keeps_the_old_file_and_its_kind_of_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failure_keeps_the_old_file_and_its_kind_of_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(FileNotFoundError, match=r"gone.file: cannot write \(No such file or directory\)"):
         files.write(tmp_path / "gone" / "file", "text")
     with pytest.raises(IsADirectoryError, match="is a directory; expected a file name"):

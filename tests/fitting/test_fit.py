@@ -85,7 +85,7 @@ def test_unpolarized_products_describe_gold_visibly_worse(gold):
 def test_rendered_copper():
     m = Measurement.read(DATA / "copper-v70.csv")
     assert_recovered(
-        fit(scene_of(vc.VGrooves(1.0), metal("Cu-Johnson", m.wavelengths_nm)), m, [free.angle()]), 70
+        fit(scene_of(vc.VGrooves(1.0), metal("Cu-Johnson", m.wavelengths_nm)), m, [free.angle(20, 175)]), 70
     )
 
 
@@ -114,6 +114,21 @@ def test_real_metals():
         assert ("does not describe" in " ".join(result.warnings)) != good
         programs.add(id(problem.build(scene, m, [free.roughness()], 0.02, 1e-6).programs))
     assert len(programs) == 1
+
+
+def test_a_smooth_metal_gives_a_limit_only():
+    """At the wavelengths of the real metals: compiled already."""
+    path = DATA / "metals-nasa-tn-d-5353.csv"
+    real = Measurement.read(path, column="nickel").select(wavelengths_nm=(390.0, 800.0))
+    nm = real.wavelengths_nm
+    scene = vc.Scene(vc.BeckmannGrooves(0.03), metal("Au-Johnson", nm), vc.Diffuse(), vc.View(real.polar))
+    values = np.asarray(vc.reflectance_factor(scene, tolerance=1e-6))
+    m = Measurement(nm, real.polar, real.azimuth, values, np.full(values.shape, 0.005))
+    result = fit(scene, m, [free.roughness(0.02, 0.3)], tolerance=1e-6)
+    words = " ".join(result.warnings)
+    assert "upper end as a limit" in words
+    assert "at most" in words
+    assert not result.identifiable
 
 
 def test_gain_and_offset_are_recovered_exactly():
@@ -153,9 +168,7 @@ def test_only_gain_and_offset(gain, offset):
     scene = scene_of(vc.VGrooves(np.radians(63.0)), vc.Lambertian(RED))
     m = observe(scene, gain=1.01, offset=0.004, noise=np.random.default_rng(3))
     result = fit(scene, m, [free.gain(gain), free.offset(offset)])
-    model = vc.reflectance_factor(
-        vc.Scene(scene.surface, scene.material, scene.illumination, vc.View(m.polar))
-    )
+    model = vc.reflectance_factor(vc.Scene(scene.surface, scene.material, scene.illumination, vc.View(m.polar)))
     rows = np.stack([np.ravel(model), np.ones(model.size)], axis=1) / 0.003
     target = np.ravel(m.reflectance_factor) / 0.003
     for column, prior in enumerate((gain, offset)):
@@ -217,39 +230,29 @@ def test_noiseless_angles_are_recovered_everywhere(material):
     random = np.degrees(np.random.default_rng(5).uniform(np.radians(12), np.radians(170), 8))
     kinks = [45.0, 60.0, 90.0, 50.0, 100.0] if material == "metal" else [50.0, 100.0]
     random = random if material == "metal" else random[:2]
+    lowest = 8 if material == "metal" else 20  # Narrow matte grooves only take time.
     for truth in [*random, *kinks]:
         scene = scene_of(vc.VGrooves(np.radians(truth)), panels)
-        result = fit(scene, observe(scene), [free.angle(8, 178)])
+        result = fit(scene, observe(scene), [free.angle(lowest, 178)])
         assert degrees(result.estimates["angle"]) == pytest.approx(truth, abs=2e-5), truth
         assert result.chi_square < 1e-6
         assert not any(w.startswith("the model gave no number") for w in result.warnings)
 
 
-def test_two_parameters_of_the_scene():
+def test_two_parameters_of_the_scene_and_a_gain():
     scene = scene_of(vc.VGrooves(np.radians(70.0)), vc.Lambertian(0.4))
     reflectance = free.parameter("reflectance", lambda s: s.material.reflectance, 0.02, 0.98)
     m = observe(scene, np.radians([0.0, 60.0, 80.0]), noise=np.random.default_rng(1))
-    result = fit(scene, m, [free.angle(30, 120), reflectance])
+    result = fit(scene, m, [free.angle(30, 120), reflectance, free.gain((1.0, 0.02))])
     assert result.status == "converged"
-    for name, truth in (("angle", np.radians(70)), ("reflectance", 0.4)):
+    for name, truth in (("angle", np.radians(70)), ("reflectance", 0.4), ("gain", 1.0)):
         estimate = result.estimates[name]
         assert abs(estimate.value - truth) < 4 * estimate.standard_error
-        ((low, high),) = estimate.interval_95
-        assert (high - low) / (2 * 1.96 * estimate.standard_error) == pytest.approx(1, abs=0.2)
-    assert -1 < result.correlation[0, 1] < 1
-    assert len(result.singular_values) == 2
-
-
-def test_the_interval_of_a_gain_knows_that_other_parameters_follow_it():
-    scene = scene_of(vc.VGrooves(np.radians(70.0)), vc.Lambertian(0.4))
-    reflectance = free.parameter("reflectance", lambda s: s.material.reflectance, 0.2, 0.6)
-    m = observe(scene, np.radians([0.0, 60.0, 80.0]), noise=np.random.default_rng(1))
-    result = fit(scene, m, [free.angle(50, 100), reflectance, free.gain((1.0, 0.02))])
-    assert abs(result.correlation[1, 2]) > 0.9
-    for estimate in result.estimates.values():
         # Smooth and close to linear over two standard errors: the profile agrees with the Gauss-Newton error.
         ((low, high),) = estimate.interval_95
         assert (high - low) / (2 * 1.96 * estimate.standard_error) == pytest.approx(1, abs=0.05)
+    assert abs(result.correlation[1, 2]) > 0.9  # The others must follow the gain in its profile.
+    assert len(result.singular_values) == 3
 
 
 def test_missing_values_are_left_out():

@@ -118,12 +118,3 @@ def test_nothing_left_to_test():
     assert result.degrees_of_freedom == 0
     assert "cannot be tested" in " ".join(result.warnings)
     assert np.degrees(result.estimates["angle"].value) == pytest.approx(60, abs=1e-4)
-
-
-def test_a_smooth_surface_gives_a_limit_only():
-    scene = vc.Scene(vc.BeckmannGrooves(0.03), vc.Specular(GOLD), vc.Diffuse(), vc.View())
-    result = fit(scene, synthetic(scene), [free.roughness(0.02, 0.3)], tolerance=1e-6)
-    words = " ".join(result.warnings)
-    assert "upper end as a limit" in words
-    assert "at most" in words
-    assert not result.identifiable

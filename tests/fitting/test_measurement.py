@@ -246,9 +246,7 @@ BAD: list[tuple] = [
 
 
 @pytest.mark.parametrize(("text", "fragments"), [(b[1], b[2:]) for b in BAD], ids=[b[0] for b in BAD])
-def test_bad_file_is_refused_with_its_line(
-    tmp_path: Path, text: str | bytes, fragments: tuple[str, ...]
-) -> None:
+def test_bad_file_is_refused_with_its_line(tmp_path: Path, text: str | bytes, fragments: tuple[str, ...]) -> None:
     message = refusal(write(tmp_path, text))
     for fragment in fragments:
         assert fragment in message
@@ -274,9 +272,7 @@ def test_huge_file_and_huge_grid_are_refused(tmp_path: Path) -> None:
         stream.truncate(256 * 1024 * 1024 + 1)  # sparse: takes no room on the disk
     assert ":1: the file is larger than 256 MB" in refusal(path)
     rows = "".join(f"{400 + i / 100},{i / 100},0,0.1\n" for i in range(7200))
-    assert ":1: 7200 directions by 7200 wavelengths is too large a grid" in refusal(
-        write(tmp_path, TIDY + rows)
-    )
+    assert ":1: 7200 directions by 7200 wavelengths is too large a grid" in refusal(write(tmp_path, TIDY + rows))
 
 
 def test_a_flat_spectrum_has_no_gaps_and_one_direction(tmp_path: Path) -> None:
@@ -409,9 +405,7 @@ def tidy_files(draw: st.DrawFn) -> tuple[str, dict]:
 
 
 @given(tidy_files())
-def test_a_tidy_table_reads_back_equal(
-    tmp_path_factory: pytest.TempPathFactory, file: tuple[str, dict]
-) -> None:
+def test_a_tidy_table_reads_back_equal(tmp_path_factory: pytest.TempPathFactory, file: tuple[str, dict]) -> None:
     text, expected = file
     m = Measurement.read(write(tmp_path_factory.mktemp("tidy"), text))
     for name, array in expected.items():

@@ -12,9 +12,7 @@ from fitting import free
 from fitting.parameters import Parameter
 
 
-@pytest.mark.parametrize(
-    "parameter", [free.angle(), free.roughness(), free.parameter("r", lambda s: s, 0.1, 0.9)]
-)
+@pytest.mark.parametrize("parameter", [free.angle(), free.roughness(), free.parameter("r", lambda s: s, 0.1, 0.9)])
 def test_transforms_are_inverse(parameter):
     values = np.linspace(parameter.lower, parameter.upper, 23)
     inside = values[1:-1]

@@ -166,9 +166,7 @@ def test_fit_without_an_answer_is_drawn(tmp_path: Path, change: str) -> None:
     else:
         chi_square = np.where(values < (0.7 if change == "gaps" else 9), np.nan, chi_square)
     estimate = dataclasses.replace(result.estimates["angle"], interval_95=intervals)
-    result = dataclasses.replace(
-        result, profiles={"angle": (values, chi_square)}, estimates={"angle": estimate}
-    )
+    result = dataclasses.replace(result, profiles={"angle": (values, chi_square)}, estimates={"angle": estimate})
     panels = {"all gaps": 0, "flat": 1, "unbounded": 1}.get(change, 2)
     assert words(result, tmp_path).count("dihedral angle α (deg)") == panels
 

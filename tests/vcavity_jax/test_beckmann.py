@@ -1,5 +1,6 @@
 """Randomly grooved surfaces: records for mirrors, an independent average for diffusers, both limits."""
 
+import itertools
 import json
 from collections.abc import Iterator
 from functools import cache
@@ -43,9 +44,7 @@ def general_path(model: Any) -> Any:
 
 
 def traced(model: Any, m: Any, polar: Any, azimuth: Any, index: Any) -> np.ndarray:
-    columns = np.broadcast_arrays(
-        *(np.asarray(c, float) for c in (m, polar, azimuth)), np.asarray(index, complex)
-    )
+    columns = np.broadcast_arrays(*(np.asarray(c, float) for c in (m, polar, azimuth)), np.asarray(index, complex))
     size = len(columns[0])
     assert size <= 100
     padded = (jnp.asarray(np.resize(c, 100)) for c in columns)  # one length: one program for each model
@@ -116,45 +115,55 @@ def test_density_integrates_to_one() -> None:
         assert total == pytest.approx(1, abs=1e-14)
 
 
-@cache
-def grooves() -> Any:
+SPECTRUM = np.array([0.03, 0.3, 0.6, 0.8, 0.93, 0.99, 0.9999, 1.0])
+
+
+@jax.jit
+def grooves(angles: Any, polar: Any, azimuth: Any) -> Any:
     """Reflectance factor of V-grooves of many angles in one view: what an average is made of."""
 
-    def one(angle: Any, reflectance: Any, polar: Any, azimuth: Any) -> Any:
-        scene = vc.Scene(
-            vc.VGrooves(angle), vc.Lambertian(reflectance), vc.Diffuse(), vc.View(polar, azimuth)
-        )
-        return vc.reflectance_factor(scene, 1e-11)
+    def one(angle: Any) -> Any:
+        scene = vc.Scene(vc.VGrooves(angle), vc.Lambertian(SPECTRUM), vc.Diffuse(), vc.View(polar, azimuth))
+        return vc.reflectance_factor(scene, 1e-12)
 
-    return jax.jit(jax.vmap(one, in_axes=(0, None, None, None)))
+    return jax.lax.map(one, angles, batch_size=16)
 
 
-def plain_average(m: float, reflectance: float, polar: float, azimuth: float) -> float:
-    """R_m by a plain sum over α, fine enough to need nothing but the onset of masking.
+def plain_average(m: float, polar: float, azimuth: float) -> np.ndarray:
+    """R_m by a plain sum over α: ∫ u exp(-u²/2) R(α(u)) du, u = cot(α/2)/m, du = dα / (2 m sin²(α/2)).
 
-    ∫ u exp(-u²/2) R(α(u)) du with u = cot(α/2)/m and du = dα / (2 m sin²(α/2)), up to u = 9.
+    Panels shrink by halves towards both ends and, from both sides, towards the onset of masking, where R
+    departs as a fractional power of the hidden depth. 10 nodes against 8: 1e-14. Beyond u = 8.5: 2e-16.
     """
-    x, weight = np.polynomial.legendre.leggauss(4)
+    x, weight = np.polynomial.legendre.leggauss(10)
     onset = 2 * abs(np.arctan2(np.sin(polar) * np.cos(azimuth), np.cos(polar)))
-    least = 2 * np.arctan2(1, 9 * m)
-    marks = np.append(least + (np.pi - least) * np.linspace(0, 1, 200) ** 2, onset)
-    marks = np.sort(np.clip(marks, least, np.pi))
-    half = np.diff(marks)[:, None] / 2
-    alpha = ((marks[:-1] + marks[1:])[:, None] / 2 + half * x).ravel()
+    least = 2 * np.arctan2(1, 8.5 * m)
+    ends = [least, onset, np.pi] if least < onset < np.pi else [least, np.pi]
+    graded = np.append(0, 2.0 ** np.arange(-20, 1)) / 2
+    marks = [np.linspace(least, np.pi, 20)]
+    for low, high in itertools.pairwise(ends):
+        marks += [low + (high - low) * graded, high - (high - low) * graded]
+    panels = np.unique(np.concatenate(marks))
+    half = np.diff(panels)[:, None] / 2
+    alpha = ((panels[:-1] + panels[1:])[:, None] / 2 + half * x).ravel()
     u = 1 / (np.tan(alpha / 2) * m)
     density = (half * weight).ravel() * u * np.exp(-u * u / 2) / (2 * m * np.sin(alpha / 2) ** 2)
-    values = grooves()(*(jnp.asarray(a) for a in (alpha, reflectance, polar, azimuth)))
-    return float(density @ np.asarray(values))
+    size = 1200  # one length, one program
+    assert len(alpha) <= size
+    padded = jnp.asarray(np.append(alpha, np.full(size - len(alpha), 1.0)))
+    return density @ np.asarray(grooves(padded, jnp.asarray(polar), jnp.asarray(azimuth)))[: len(alpha)]
 
 
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-10])
 @pytest.mark.parametrize(
-    ("m", "polar", "azimuth"), [(0.1, 0.0, 0.0), (0.5, 1.2, 0.0), (1.0, 0.9, 0.6), (2.0, 1.0, np.pi / 2)]
+    "m", [*(pytest.param(m, marks=pytest.mark.slow) for m in (0.01, 0.1, 1.0, 5.0)), 0.4, 2.2]
 )
-def test_diffusers_are_averages_of_grooves(m: float, polar: float, azimuth: float) -> None:
-    """1e-9 at a tolerance of 1e-9; the plain sum ends its panels at the onset of masking and has 1e-11."""
-    wanted = plain_average(m, 0.85, polar, azimuth)
-    found = vc.reflectance_factor(rough(m, vc.Lambertian(0.85), polar, azimuth), 1e-9)
-    assert float(found) == pytest.approx(wanted, rel=0, abs=1e-9)
+def test_diffusers_are_averages_of_grooves(m: float, tolerance: float) -> None:
+    """Within the tolerance of a sum that shares neither nodes nor variable with the library's."""
+    polar, azimuth = np.radians([0.0, 20.0, 57.0, 80.0, 60.0]), np.radians([0.0, 17.0, 17.0, 17.0, 90.0])
+    found = np.asarray(vc.reflectance_factor(rough(m, vc.Lambertian(SPECTRUM), polar, azimuth), tolerance))
+    wanted = [plain_average(m, *view) for view in zip(polar, azimuth, strict=True)]
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=tolerance)
 
 
 def flat(material: Any, polar: Any, azimuth: Any) -> np.ndarray:

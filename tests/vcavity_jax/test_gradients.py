@@ -79,15 +79,11 @@ def test_mirror_records(model: str) -> None:
     angles = (np.radians([r[key] for r in records]) for key in ("alpha_deg", "theta_deg", "phi_deg"))
     columns = [jnp.asarray(c) for c in (*angles, [r["n"] for r in records], [r["k"] for r in records])]
     gradient = jax.jit(jax.vmap(jax.grad(mirror(MODELS[model]), argnums=(0, 1, 2, 3, 4))))(*columns)
-    for name, found in zip(
-        ("alpha_per_rad", "theta_per_rad", "phi_per_rad", "n", "k"), gradient, strict=True
-    ):
+    for name, found in zip(("alpha_per_rad", "theta_per_rad", "phi_per_rad", "n", "k"), gradient, strict=True):
         truth = np.array([np.nan if r["d" + name] is None else r["d" + name] for r in records])
         given = np.isfinite(truth)
         assert given.sum() > 20
-        np.testing.assert_allclose(
-            np.asarray(found)[given], truth[given], rtol=1e-9, atol=1e-14, err_msg=name
-        )
+        np.testing.assert_allclose(np.asarray(found)[given], truth[given], rtol=1e-9, atol=1e-14, err_msg=name)
 
 
 def test_diffuser_records() -> None:
@@ -140,9 +136,7 @@ def compare(function: Callable[..., Any], columns: list[np.ndarray], names: str)
         expected = differences(lambda x, i=i: batch(*values[:i], x, *values[i + 1 :]), values[i], 1e-4)
         error = np.abs(np.asarray(gradient[i]) - expected)
         worst = int(np.argmax(error - 1e-6 * np.maximum(np.abs(expected), scale)))
-        message = (
-            f"{name} of {[float(c[worst]) for c in columns]}: {gradient[i][worst]} for {expected[worst]}"
-        )
+        message = f"{name} of {[float(c[worst]) for c in columns]}: {gradient[i][worst]} for {expected[worst]}"
         assert error[worst] <= 1e-6 * max(abs(expected[worst]), scale[worst]), message
 
 
@@ -309,9 +303,7 @@ AZIMUTHS = [0.0, 0.5, np.pi / 2, 1e-12]
 INDICES = [1 + 0j, 1 + 1e-9 + 0j, 1.5 + 0j, 50 + 0j, 1 + 20j, 0.05 + 0j, 0.05 + 3j, GOLD]
 
 
-def assert_all_finite(
-    function: Callable[..., Any], columns: list[Any], lowest: float, highest: float
-) -> None:
+def assert_all_finite(function: Callable[..., Any], columns: list[Any], lowest: float, highest: float) -> None:
     every = tuple(range(len(columns)))
     value, gradient = jax.jit(jax.vmap(jax.value_and_grad(function, argnums=every)))(*columns)
     for name, what in zip(("value", *every), (value, *gradient), strict=True):

@@ -79,9 +79,7 @@ def of(section: str, degrees: float, light: Any) -> list[dict[str, Any]]:
 
 def fully_met(degrees: float, name: Any) -> bool:
     polar, azimuth = direction(name)
-    return abs(np.arctan2(np.sin(polar) * np.cos(azimuth), np.cos(polar))) <= np.radians(degrees) / 2 * (
-        1 + 1e-9
-    )
+    return abs(np.arctan2(np.sin(polar) * np.cos(azimuth), np.cos(polar))) <= np.radians(degrees) / 2 * (1 + 1e-9)
 
 
 def bound(degrees: float, light: Any, seen: Any) -> float:
@@ -212,9 +210,7 @@ def test_profile_of_two_panels_averages_to_what_is_seen() -> None:
 
 
 def frontal(degrees: float, reflectance: Any) -> np.ndarray:
-    scene = vc.Scene(
-        vc.VGrooves(np.radians(degrees)), vc.Lambertian(reflectance), vc.Directional(), vc.View()
-    )
+    scene = vc.Scene(vc.VGrooves(np.radians(degrees)), vc.Lambertian(reflectance), vc.Directional(), vc.View())
     return np.asarray(vc.reflectance_factor(scene, FINEST))
 
 

@@ -137,8 +137,7 @@ def test_reference_is_plain_text(name: str) -> None:
 
 def test_reference_of_gold() -> None:
     assert materials.reference("Au-Johnson") == (
-        "P. B. Johnson and R. W. Christy. Optical constants of the noble metals. "
-        "Phys. Rev. B 6, 4370-4379 (1972)"
+        "P. B. Johnson and R. W. Christy. Optical constants of the noble metals. Phys. Rev. B 6, 4370-4379 (1972)"
     )
 
 
@@ -243,9 +242,7 @@ NK = ["0.4 1.5 0.1", "0.5 1.4 0.3", "0.7 1.2 0.7"]
 def test_read_tabulated_nk(tmp_path: Path, suffix: str) -> None:
     path = write(tmp_path, record("nk", NK), f"index{suffix}")
     index = materials.read_index(path, [400, 450, 500, 600, 700])
-    np.testing.assert_allclose(
-        index, [1.5 + 0.1j, 1.45 + 0.2j, 1.4 + 0.3j, 1.3 + 0.5j, 1.2 + 0.7j], rtol=1e-15
-    )
+    np.testing.assert_allclose(index, [1.5 + 0.1j, 1.45 + 0.2j, 1.4 + 0.3j, 1.3 + 0.5j, 1.2 + 0.7j], rtol=1e-15)
     assert np.array_equal(materials.read_index(str(path), 450), index[1])
 
 
@@ -440,9 +437,7 @@ def test_formulas_against_published_indices(
         (5, "1 1 -1300"),  # overflow
     ],
 )
-def test_formula_without_a_real_index_names_the_wavelength(
-    tmp_path: Path, number: int, coefficients: str
-) -> None:
+def test_formula_without_a_real_index_names_the_wavelength(tmp_path: Path, number: int, coefficients: str) -> None:
     path = write(tmp_path, formula(number, coefficients))
     with pytest.raises(ValueError, match=r"index\.yml: the dispersion formula gives no real n > 0 at 550 nm"):
         materials.read_index(path, [550.0, 550.0])
@@ -559,9 +554,7 @@ def test_broken_files_are_refused_in_one_line(
 
 def test_yaml_never_builds_objects(tmp_path: Path) -> None:
     marker = tmp_path / "built"
-    text = (
-        f'DATA: !!python/object/apply:pathlib.Path.touch [!!python/object/apply:pathlib.Path ["{marker}"]]\n'
-    )
+    text = f'DATA: !!python/object/apply:pathlib.Path.touch [!!python/object/apply:pathlib.Path ["{marker}"]]\n'
     assert "DATA entry is not a mapping" in refused(write(tmp_path, text))
     assert not marker.exists()
 

@@ -11,15 +11,14 @@ import pytest
 
 import vcavity_jax as vc
 
-TRUTH: list[dict[str, Any]] = json.loads(
-    (Path(__file__).parents[1] / "data" / "path-tracer.json").read_text()
-)["records"]
+TRUTH: list[dict[str, Any]] = json.loads((Path(__file__).parents[1] / "data" / "path-tracer.json").read_text())[
+    "records"
+]
 
 
 def radians(records: list[dict[str, Any]]) -> tuple[jax.Array, ...]:
     return tuple(
-        jnp.radians(jnp.asarray([float(r[k]) for r in records]))
-        for k in ("alpha_deg", "theta_deg", "phi_deg")
+        jnp.radians(jnp.asarray([float(r[k]) for r in records])) for k in ("alpha_deg", "theta_deg", "phi_deg")
     )
 
 
@@ -54,9 +53,7 @@ def test_the_tracer_tells_polarization_apart() -> None:
     @jax.vmap
     def unpolarized(angle: Any, polar: Any, azimuth: Any, index: Any) -> Any:
         material = vc.Specular(index, "unpolarized")
-        return vc.reflectance_factor(
-            vc.Scene(vc.VGrooves(angle), material, vc.Diffuse(), vc.View(polar, azimuth))
-        )
+        return vc.reflectance_factor(vc.Scene(vc.VGrooves(angle), material, vc.Diffuse(), vc.View(polar, azimuth)))
 
     index = jnp.asarray([r["eta"] + 1j * r["k"] for r in records])
     with pytest.raises(AssertionError):

@@ -139,9 +139,7 @@ SHARES = jax.jit(reflection_shares)
 
 
 @given(all_angles, polars, azimuths, reflectances, reflectances)
-def test_diffusers_keep_energy(
-    angle: float, polar: float, azimuth: float, first: float, second: float
-) -> None:
+def test_diffusers_keep_energy(angle: float, polar: float, azimuth: float, first: float, second: float) -> None:
     """0 ≤ HDR ≤ max(r₁, r₂): an average over paths of what each reflects at most; sharper than 1."""
     value = shaded(angle, first, second, (polar, azimuth))
     assert np.all(value >= -TIGHT)
@@ -191,9 +189,7 @@ def test_mirror_grooves_look_alike_from_both_sides(
     angle: float, polar: float, azimuth: float, index: complex, model: str
 ) -> None:
     """±θ and ±φ. The two sides' shares round differently: 1e-13, up to some 200 reflections."""
-    value = mirror(
-        model, angle, [polar, -polar, polar, -polar], [azimuth, azimuth, -azimuth, -azimuth], index
-    )
+    value = mirror(model, angle, [polar, -polar, polar, -polar], [azimuth, azimuth, -azimuth, -azimuth], index)
     np.testing.assert_allclose(value, value[0], rtol=0, atol=1e-12)
 
 
@@ -204,10 +200,10 @@ def test_no_coupling_across_the_grooves(angle: float, polar: float, index: compl
     np.testing.assert_allclose(full, separate, rtol=0, atol=1e-13)
 
 
-@given(st.floats(0.6 * np.pi, np.pi), st.floats(0.0, 1.0), azimuths, indices)
+@given(st.floats(0.67 * np.pi, np.pi), st.floats(0.0, 0.999), azimuths, indices)
 def test_one_reflection_needs_no_model(angle: float, part: float, azimuth: float, index: complex) -> None:
-    """Where every ray is reflected once, |θ'| < π/2 - (π - α)... = α - π/2 at most, the three models are one."""
-    section = part * (angle - np.pi / 2)
+    """Where every ray is reflected once, |θ'| < 3α/2 - π, the three models are one."""
+    section = part * (1.5 * angle - np.pi)
     polar = np.arctan(np.tan(section) / max(abs(np.cos(azimuth)), 1e-3))
     value = [mirror(m, angle, polar, azimuth, index) for m in ("full", "unpolarized", "separate")]
     np.testing.assert_allclose(value[1:], [value[0]] * 2, rtol=0, atol=1e-13)
@@ -282,9 +278,7 @@ def test_flat_diffusers(
 ) -> None:
     """α = π: the reflectance itself, of two panels the mean of what each gives with its half."""
     np.testing.assert_allclose(lit(np.pi, first, first, light, view), first, rtol=0, atol=TIGHT)
-    np.testing.assert_allclose(
-        lit(np.pi, first, second, light, view), (first + second) / 2, rtol=0, atol=TIGHT
-    )
+    np.testing.assert_allclose(lit(np.pi, first, second, light, view), (first + second) / 2, rtol=0, atol=TIGHT)
     np.testing.assert_allclose(shaded(np.pi, first, second, view), (first + second) / 2, rtol=0, atol=TIGHT)
 
 

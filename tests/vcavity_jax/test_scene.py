@@ -89,7 +89,7 @@ def test_traced_tolerance() -> None:
 
 @pytest.mark.usefixtures("_as_users_meet_it")
 def test_unknown_polarization() -> None:
-    with pytest.raises(ValueError, match="'exact' is not a polarization.*full.*unpolarized.*separate"):
+    with pytest.raises(ValueError, match=r"'exact' is not a polarization.*full.*unpolarized.*separate"):
         vc.Specular(1.5, "exact")  # type: ignore[arg-type]
 
 

@@ -13,9 +13,7 @@ import pytest
 import vcavity_jax as vc
 from vcavity_jax.specular import reflection_shares
 
-TRUTH: list[dict[str, Any]] = json.loads((Path(__file__).parents[1] / "data" / "specular.json").read_text())[
-    "hdr"
-]
+TRUTH: list[dict[str, Any]] = json.loads((Path(__file__).parents[1] / "data" / "specular.json").read_text())["hdr"]
 MODELS = {"exact": "full", "unpol": "unpolarized", "sep": "separate"}
 SHARES = jax.jit(reflection_shares)
 MATERIALS = (0.35 + 2.7j, 0.1249 + 3.3391j, 4.08 + 0.03j, 1.5 + 0j, 1.001 + 0j)

@@ -1,0 +1,150 @@
+"""The promise of ``tolerance``: an upper bound on the error, for random scenes of every kind.
+
+Every scene is evaluated as a user would, with all its numbers known, so that the work is planned for it. The
+reference is the same scene, evaluated for 1e-13 with nothing known: other plans, other sums.
+"""
+
+import itertools
+from collections.abc import Callable, Iterator
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import vcavity_jax as vc
+
+TOLERANCES = (1e-3, 1e-6, 1e-10)
+REFLECTANCES = np.array([0.03, 0.3, 0.6, 0.8, 0.93, 0.99, 0.9999, 1.0])
+
+
+@pytest.fixture(autouse=True)
+def _forget_programs() -> Iterator[None]:
+    yield
+    jax.clear_caches()
+    reference.cache_clear()
+
+
+def random_directions(random: np.random.Generator, size: int, steepest: float = 88.0) -> np.ndarray:
+    """Polar (both signs) and azimuth; a quarter each near the plane along and near the plane across."""
+    azimuth = random.choice([0.0, 90.0, -1.0, -1.0], size)
+    azimuth = np.where(azimuth < 0, random.uniform(0, 180, size), azimuth)
+    return np.radians([random.uniform(-steepest, steepest, size), azimuth])
+
+
+@cache
+def reference(kind: str, tolerance: float) -> Callable[..., Any]:
+    def value(surface: Any, material: Any, illumination: Any, view: Any) -> Any:
+        return vc.reflectance_factor(vc.Scene(surface, material, illumination, view), tolerance)
+
+    return jax.jit(value)
+
+
+def worst_excess(scenes: list[vc.Scene], kind: str, finest: float) -> dict[float, float]:
+    """Largest error over tolerance. Views and reflectances are of equal shape, so that few programs are compiled.
+
+    Errors grow where the value does: light and view both grazing send more than 1 back. The promise is absolute.
+    """
+    excess = dict.fromkeys(TOLERANCES, 0.0)
+    for scene in scenes:
+        exact = np.asarray(reference(kind, finest)(scene.surface, scene.material, scene.illumination, scene.view))
+        for tolerance in TOLERANCES:
+            error = float(np.max(np.abs(np.asarray(vc.reflectance_factor(scene, tolerance)) - exact)))
+            excess[tolerance] = max(excess[tolerance], error / tolerance)
+    return excess
+
+
+def diffusing(random: np.random.Generator, angle: float, kind: str) -> vc.Scene:
+    """One of the kinds of diffusing scenes, at an angle in degrees."""
+    material: Any = vc.Lambertian(random.permutation(REFLECTANCES))
+    if "two" in kind:
+        material = vc.TwoPanels(material, vc.Lambertian(random.permutation(REFLECTANCES)))
+    polar, azimuth = random_directions(random, 6)
+    light: Any = vc.Diffuse()
+    if "open" in kind:  # seen and lit within the groove's opening
+        polar = polar * (angle / 2 / 90)
+    if "parallel" in kind:
+        source = random_directions(random, 1)[:, 0]
+        light = vc.Directional(source[0] * (angle / 2 / 90 if "open" in kind else 1), source[1])
+    return vc.Scene(vc.VGrooves(np.radians(angle)), material, light, vc.View(polar, azimuth))
+
+
+KINDS = ("diffuse", "diffuse open", "parallel", "parallel open", "two diffuse", "two parallel")
+
+
+NARROW_ENDS = (1.0, 4.5, 14.0, 40.0)
+
+
+def held(kind: str, ranges: list[tuple[float, float]], each: int) -> None:
+    """Angles within every range that is planned alike, and at its narrow end."""
+    random = np.random.default_rng(KINDS.index(kind))
+    drawn = [random.uniform(low, high) if i else low for low, high in ranges for i in range(each)]
+    excess = worst_excess([diffusing(random, angle, kind) for angle in drawn], kind, 1e-13)
+    assert max(excess.values()) < 1, excess
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_diffusers(kind: str) -> None:
+    held(kind, [(1.0, 4.5), (40.0, 179.0)] if KINDS.index(kind) % 2 else [(4.5, 14.0), (14.0, 40.0)], 4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_diffusers_150_scenes(kind: str) -> None:
+    held(kind, list(itertools.pairwise((*NARROW_ENDS, 179.0))), 38)
+
+
+@pytest.mark.parametrize(
+    "size", [pytest.param(10, id="sample"), pytest.param(150, id="150 scenes", marks=pytest.mark.slow)]
+)
+@pytest.mark.parametrize("kind", ["diffuse", "parallel"])
+def test_profiles(kind: str, size: int) -> None:
+    """Local radiance keeps the tolerance above 1e-6 of the panel, as it says."""
+    random = np.random.default_rng(50)
+    position = jnp.asarray([1e-6, 1e-3, 0.05, 0.3, 0.7, 0.95, 1.0])
+
+    def profile(scene: vc.Scene, tolerance: float) -> Any:
+        return vc.radiance_profile(scene, position, tolerance)
+
+    programs = {t: jax.jit(lambda s, t=t: profile(s, t)) for t in (*TOLERANCES, 1e-13)}
+    for angle in random.uniform(5, 179, size):
+        scene = diffusing(random, angle, kind)
+        exact = np.asarray(programs[1e-13](scene))
+        for tolerance in TOLERANCES:
+            error = np.max(np.abs(np.asarray(programs[tolerance](scene)) - exact))
+            assert error < tolerance, (angle, tolerance)
+
+
+@pytest.mark.parametrize(
+    "size", [pytest.param(40, id="sample"), pytest.param(150, id="150 scenes", marks=pytest.mark.slow)]
+)
+def test_mirrors(size: int) -> None:
+    """An exact sum: every tolerance is kept by the same work; to 1e-12."""
+    random = np.random.default_rng(60)
+    for angle in np.radians(random.uniform(1, 180, size)):
+        index = random.uniform(0.05, 4, 3) + 1j * random.uniform(0, 6, 3)
+        view = vc.View(*random_directions(random, 5))
+        scene = vc.Scene(vc.VGrooves(angle), vc.Specular(index), vc.Diffuse(), view)
+        exact = reference("mirror", 1e-13)(scene.surface, scene.material, scene.illumination, view)
+        np.testing.assert_allclose(vc.reflectance_factor(scene, 1e-3), exact, rtol=0, atol=1e-12)
+
+
+MIRRORS = vc.Specular(np.array([0.35 + 2.7j, 1.5, 4.08 + 0.03j, 0.1249 + 3.3391j]))
+
+
+@pytest.mark.parametrize(
+    "m", [*(pytest.param(m, marks=pytest.mark.slow) for m in (0.01, 0.1, 1.0, 2.2, 5.0)), 0.4]
+)
+def test_random_grooves(m: float) -> None:
+    """Mirrors, 40 views of 4 indices, against the finest; that keeps the records to 1e-13 itself.
+
+    Diffusers are held to an independent average in test_beckmann.
+    """
+    view = vc.View(*random_directions(np.random.default_rng(70), 40))
+    scene = vc.Scene(vc.BeckmannGrooves(m), MIRRORS, vc.Diffuse(), view)
+    exact = np.asarray(vc.reflectance_factor(scene, 1e-13))
+    for tolerance in TOLERANCES:
+        error = np.max(np.abs(np.asarray(vc.reflectance_factor(scene, tolerance)) - exact))
+        assert error < tolerance, tolerance
