@@ -85,8 +85,8 @@ def step_resolution(tolerance: float, angle: float | None, visible: float | None
 
 
 def panel_order(tolerance: float) -> int:
-    """Gauss-Legendre nodes per smooth panel of an average over specular groove angles."""
-    return max(3, math.ceil((-math.log10(tolerance) - 0.2) / 0.76))
+    """Gauss-Legendre nodes per smooth panel of an average over groove angles."""
+    return max(5, math.ceil((-math.log10(tolerance) - 0.2) / 0.76))
 
 
 def slope_cutoff(tolerance: float) -> float:

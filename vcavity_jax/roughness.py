@@ -27,14 +27,27 @@ def slope_of_angle(angle: Float[Array, "..."], roughness: Float[Array, "..."]) -
     return 1 / (jnp.tan(angle / 2) * jnp.maximum(roughness, floor_of(roughness)))
 
 
+def density(u: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Density of the facet slopes, u exp(-u²/2)."""
+    return u * jnp.exp(-u * u / 2)
+
+
+def legendre_nodes(
+    start: Float[Array, "..."], end: Float[Array, "..."], order: int
+) -> tuple[Float[Array, "... nodes"], Float[Array, "... nodes"]]:
+    """Gauss-Legendre nodes and weights of panels."""
+    x, weight = np.polynomial.legendre.leggauss(order)
+    half = (end - start)[..., None] / 2
+    nodes = (start + end)[..., None] / 2 + half * jnp.asarray(x, start.dtype)
+    return nodes, half * jnp.asarray(weight, start.dtype)
+
+
 def panel_nodes(
     start: Float[Array, "..."], end: Float[Array, "..."], order: int
 ) -> tuple[Float[Array, "... nodes"], Float[Array, "... nodes"]]:
-    """Gauss-Legendre nodes of panels in u, and their weights times the density u exp(-u²/2)."""
-    x, weight = np.polynomial.legendre.leggauss(order)
-    half = (end - start)[..., None] / 2
-    u = (start + end)[..., None] / 2 + half * jnp.asarray(x, start.dtype)
-    return u, half * jnp.asarray(weight, start.dtype) * u * jnp.exp(-u * u / 2)
+    """Nodes of panels in u, and their weights times the density."""
+    u, weight = legendre_nodes(start, end, order)
+    return u, weight * density(u)
 
 
 def tail_weight(cutoff: float) -> float:
@@ -149,20 +162,28 @@ def lambertian_average(
     floor = jnp.maximum(m, floor_of(m))
     # α turns from π to 0 around u = 1/m, the density around u = 1: panels for both, whatever their order.
     marks = jnp.asarray([0.25, 1.0, 4.0, 16.0, 64.0], m.dtype) / floor
-    whole = jnp.asarray([0.0, 1.0, 2.5, cutoff], m.dtype)
+    whole = jnp.asarray([0.0, 1.0, 2.2, 3.5, 5.0, cutoff], m.dtype)
     marks = jnp.sort(jnp.clip(jnp.concatenate([marks, whole]), 0, cutoff))
     if masked is None:
         onset = jnp.asarray(cutoff, m.dtype)
     else:
         slope = jnp.tan(jnp.abs(lax.stop_gradient(section))) * floor
         onset = jnp.minimum(1 / jnp.maximum(slope, floor_of(slope)), cutoff)
-    pieces = [(jnp.minimum(marks, onset), fully_seen)]
-    if masked is not None:
-        pieces.append((jnp.maximum(marks, onset), masked))
     last = fully_seen if masked is None else masked
     total = tail_weight(cutoff) * last(groove_angle(roughness, jnp.asarray(cutoff, m.dtype)))
-    for ends, function in pieces:
-        u, weight = (jnp.ravel(a) for a in panel_nodes(ends[:-1], ends[1:], order))
-        values = lax.map(function, groove_angle(roughness, u), batch_size=len(u) if masked is None else order)
-        total = total + weight @ values
-    return total
+
+    def add(total: Array, u: Array, weight: Array, function: Callable[..., Array], batch: int) -> Array:
+        values = lax.map(function, groove_angle(roughness, jnp.ravel(u)), batch_size=batch)
+        return total + jnp.ravel(weight) @ values
+
+    ends = jnp.minimum(marks, onset)
+    u, weight = panel_nodes(ends[:-1], ends[1:], order)
+    total = add(total, u, weight, fully_seen, u.size)
+    if masked is None:
+        return total
+    # A mask sets in with a fractional power of its depth: in v, with u = onset + span v⁴, it is smooth.
+    span = jnp.maximum(cutoff - onset, floor_of(onset))
+    ends = (jnp.clip(marks - onset, 0, span) / span) ** 0.25
+    v, weight = legendre_nodes(ends[:-1], ends[1:], order)
+    u = onset + span * v**4
+    return add(total, u, weight * 4 * span * v**3 * density(u), masked, order)
