@@ -108,7 +108,7 @@ def plan(scene: Scene, tolerance: float, smallest_angle: float | None = None) ->
         if isinstance(scene.surface, VGrooves):
             fully = fully or all(np.all(_hidden(angle, y, z) <= 0) for _, y, z in directions)
         narrowest = resolution.planned_angle(angle)
-        seen = min(float(np.min(1 - np.maximum(_hidden(narrowest, y, z), 0))) for _, y, z in directions)
+        seen = 1 - max(float(np.max(_hidden(narrowest, y, z), initial=0)) for _, y, z in directions)
         # Two cases only: every one is compiled for itself. Beyond, the rim layer is treated in full.
         visible = _CLEARLY_VISIBLE if seen >= _CLEARLY_VISIBLE else None
     model: Polarization = "full"

@@ -38,10 +38,9 @@ def reflectance_factor(
 
     Args:
         scene: the surface, material, illumination and view.
-        tolerance: upper bound on the absolute numerical error, a plain number from 1e-13 to 1. Rounding
-            limits what is reached with shadows or masks to 1e-11 at 10 degrees, 1e-10 at 5 and 1e-8 at 1, and
-            in float32 to 1e-5 above 20 degrees.
-
+        tolerance: upper bound on the absolute numerical error, a plain number between 0 and 1. Rounding limits
+            what can be reached to 1e-13; with shadows or masks to 1e-11 at 10 degrees, 1e-10 at 5 and 1e-8 at
+            1; in float32 to 1e-5 above 20 degrees.
         smallest_angle: radians; where JAX traces the dihedral angle, diffusing panels cost several times less
             if it is known to stay above this (by default 0.1 degrees). Below it the result is NaN.
 
@@ -50,7 +49,7 @@ def reflectance_factor(
 
     Raises:
         ValueError: the scene has no finite answer, combines parts that the models do not cover, or the
-            tolerance is not a plain number from 1e-13 to 1.
+            tolerance is not a plain number between 0 and 1.
 
     References:
         [SaintPierre2020, chapters 3 and 4], with the corrections of docs/errata.md.

@@ -27,16 +27,14 @@ def planned_angle(angle: float | None) -> float:
 
 
 def check_tolerance(tolerance: float) -> float:
-    """The tolerance to plan for: in single precision no finer than its rounding.
+    """The tolerance to plan for: no finer than the rounding of the numbers in use.
 
     Raises:
-        ValueError: it is not a plain number from 1e-13 to 1.
+        ValueError: it is not a plain number between 0 and 1.
     """
-    if isinstance(tolerance, jax.core.Tracer) or not _ROUNDING <= tolerance < 1:
-        raise ValueError(
-            f"{tolerance} is not a tolerance that can be kept: expected a plain number from 1e-13 to 1"
-        )
-    return float(tolerance) if jax.config.read("jax_enable_x64") else max(float(tolerance), 1e-6)
+    if isinstance(tolerance, jax.core.Tracer) or not 0 < tolerance < 1:
+        raise ValueError(f"{tolerance} is not a tolerance: expected a plain number between 0 and 1, such as 1e-8")
+    return max(float(tolerance), _ROUNDING if jax.config.read("jax_enable_x64") else 1e-6)
 
 
 def mean_resolution(tolerance: float, angle: float | None) -> MeanResolution:

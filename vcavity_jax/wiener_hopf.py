@@ -247,5 +247,5 @@ def step_response(
 
 
 def _nonzero(value: Float[Array, ""]) -> Float[Array, ""]:
-    """A width that may vanish only where the mean itself grows without bound: light and view both grazing."""
-    return jnp.maximum(value, jnp.asarray(float(jnp.finfo(value.dtype).eps) ** 2, value.dtype))
+    """A width below which the mean stops growing: it is infinite only where light and view both graze."""
+    return jnp.maximum(value, jnp.asarray(float(jnp.finfo(value.dtype).eps) ** 0.5, value.dtype))

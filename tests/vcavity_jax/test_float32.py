@@ -35,7 +35,8 @@ for name, model in MODELS.items():
     records = [r for r in mirrors["hdr"] if r["model"] == name and r["alpha_deg"] >= 20]
     def one(angle, polar, azimuth, n, k):
         material = vc.Specular(jax.lax.complex(n, k), model)
-        return vc.reflectance_factor(vc.Scene(vc.VGrooves(angle), material, vc.Diffuse(), vc.View(polar, azimuth)))
+        scene = vc.Scene(vc.VGrooves(angle), material, vc.Diffuse(), vc.View(polar, azimuth))
+        return vc.reflectance_factor(scene)
     value = jax.jit(jax.vmap(one))(*angles(records), column(records, "n"), column(records, "k"))
     note("mirrors " + model, value, np.array([r["hdr"] for r in records]))
 

@@ -206,7 +206,7 @@ def test_profile_of_two_panels_averages_to_what_is_seen() -> None:
     assert mean == pytest.approx(float(vc.reflectance_factor(scene, 1e-11)), abs=1e-9)
 
 
-# -- closed forms and published values -------------------------------------------------------------------------
+# -- closed forms and published values -------------------------------------------------------------
 
 
 def frontal(degrees: float, reflectance: Any) -> np.ndarray:
@@ -292,7 +292,7 @@ def test_retroreflection_peaks_at_45_degrees() -> None:
 
 
 def test_fold_threshold() -> None:
-    """Errata: the fold outshines the flat sheet of the same panels from r = 1 / (1 + sin α/2) on, 0.7232 at 45."""
+    """Errata: the fold outshines a flat sheet of its panels from r = 1 / (1 + sin α/2) on."""
     for degrees in (20.0, 45.0, 90.0, 179.0):
         r = 1 / (1 + np.sin(np.radians(degrees / 2)))
         scene = vc.Scene(vc.VGrooves(np.radians(degrees)), vc.Lambertian(r), vc.Directional(), vc.View())
