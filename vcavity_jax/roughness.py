@@ -125,7 +125,7 @@ def specular_average(
             def unfinished(carry: tuple[Array, Array]) -> Array:
                 start = carry[0]
                 end = lax.dynamic_index_in_dim(ends, jnp.minimum(start, panels), axis=-1, keepdims=False)
-                return (start < last) & (jnp.min(end) < cutoff)
+                return (start < last) & (jnp.min(end, initial=cutoff) < cutoff)
 
             return lax.while_loop(unfinished, body, (jnp.asarray(first), total))[1]
 

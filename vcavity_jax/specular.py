@@ -99,7 +99,7 @@ def _all_but_last(model: Polarization) -> Any:
     def run(count: Array, *physical: Array) -> Jones:
         geometry, contrast = physical[:4], physical[4] if len(physical) == 5 else lax.complex(*physical[4:])
         shape = jnp.broadcast_shapes(*(jnp.shape(p) for p in physical))
-        last = jnp.max(count)
+        last = jnp.max(count, initial=1)
 
         def body(carry: tuple[Array, Jones]) -> tuple[Array, Jones]:
             ordinal, state = carry
