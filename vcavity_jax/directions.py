@@ -42,8 +42,13 @@ def panel_share(
         across: e_y.
         normal: e_z, ≥ 0.
     """
-    slope = safe_divide(across * jnp.cos(angle / 2), normal * jnp.sin(angle / 2))
-    return (1 + jnp.clip(slope, -1, 1)) / 2
+    along_panel, into_groove = across * jnp.cos(angle / 2), normal * jnp.sin(angle / 2)
+    one_hidden = jnp.abs(along_panel) > into_groove
+    return jnp.where(
+        one_hidden,
+        (1 + jnp.sign(along_panel)) / 2,
+        (1 + safe_divide(along_panel, into_groove)) / 2,
+    )
 
 
 def hidden_depth(
@@ -62,6 +67,7 @@ def hidden_depth(
     sine, cosine = jnp.sin(angle / 2), jnp.cos(angle / 2)
     facing = jnp.abs(across) * cosine + normal * sine
     behind = jnp.abs(across) * cosine - normal * sine
-    depth = safe_divide(jnp.maximum(behind, 0), facing)
+    # Strict inequalities, the same as for the shares: at the kink all take the side where nothing is hidden.
+    depth = safe_divide(jnp.where(behind > 0, behind, jnp.zeros_like(behind)), facing)
     visible = jnp.where(behind > 0, safe_divide(2 * normal * sine, facing), jnp.ones_like(facing))
     return depth, visible

@@ -39,7 +39,17 @@ def kink_angles(scene: Scene, lower: float, upper: float) -> np.ndarray:
         scene: its view and illumination must be known (not traced).
         lower: radians, > 0.
         upper: radians.
+
+    Returns:
+        Radians, shape (K,).
+
+    Raises:
+        ValueError: the limits are not such a range.
     """
+    if not 0 < lower <= upper <= 2 * np.pi:
+        raise ValueError(
+            f"{lower} to {upper} is not a range of dihedral angles: expected 0 < lower ≤ upper, radians"
+        )
     if not isinstance(scene.surface, VGrooves):
         return np.empty(0)
     polar, azimuth = np.broadcast_arrays(np.asarray(scene.view.polar), np.asarray(scene.view.azimuth))

@@ -107,7 +107,7 @@ def symbol_complement(angle: Float[Array, ""], resolution: Resolution) -> Comple
     with the contour, so that nothing oscillates.
     """
     grid = wiener_hopf.contour(resolution)
-    tilt, end = wiener_hopf._SYMBOL_TILT, wiener_hopf._SYMBOL_END
+    tilt, end = wiener_hopf.SYMBOL_TILT, wiener_hopf.SYMBOL_END
     nodes = np.arcsinh(end / min(resolution.smallest_angle, 1.2) / np.cos(tilt)) / resolution.step
     x = np.arange(int(np.ceil(nodes)) + 1) * resolution.step + 1j * tilt
     shape, slope = np.sinh(x), resolution.step * np.cosh(x)

@@ -28,7 +28,7 @@ from vcavity_jax.wiener_hopf import Resolution
 _CLEARLY_VISIBLE = 0.01
 """A lit or seen part of a panel above which its rim layer needs no extra care."""
 
-_ROUGHEST = 10.0
+ROUGHEST = 10.0
 """The roughness that the work is planned for when it is not known."""
 
 
@@ -97,7 +97,7 @@ def plan(scene: Scene, tolerance: float, smallest_angle: float | None = None) ->
     else:
         cutoff, order = resolution.slope_cutoff(tolerance), resolution.panel_order(tolerance)
         value = concrete(scene.surface.roughness)
-        rough = _ROUGHEST if value is None else max(float(np.max(value)), 1e-3)
+        rough = ROUGHEST if value is None else max(float(np.max(value)), 1e-3)
         angle = 2 * float(np.arctan2(1, rough * cutoff))
         # A coarse ladder of orders keeps the number of compiled programs small.
         most = 2 ** int(np.ceil(np.log2(2 * np.pi / angle + 1)))

@@ -46,7 +46,7 @@ def concrete(value: Any) -> np.ndarray | None:
     return None if isinstance(value, jax.core.Tracer) or not eqx.is_array_like(value) else np.asarray(value)
 
 
-def _refuse(what: str, value: Any, bad: Any, expected: str, hint: str = "") -> None:
+def refuse(what: str, value: Any, bad: Any, expected: str, hint: str = "") -> None:
     """Raise one clear line if any concrete entry of a parameter is bad."""
     bad = np.asarray(bad)
     if bad.any():
@@ -59,7 +59,7 @@ def _check_direction(polar: Any, azimuth: Any) -> None:
         value = concrete(angle)
         if value is not None:
             limit = np.pi / 2 if name == "polar angle" else 2 * np.pi
-            _refuse(
+            refuse(
                 f"{'a' if name[0] == 'p' else 'an'} {name} in radians",
                 value,
                 ~(np.abs(value) <= limit * (1 + 1e-6)),
@@ -83,7 +83,7 @@ class VGrooves(eqx.Module):
     def __check_init__(self) -> None:
         value = concrete(self.angle)
         if value is not None:
-            _refuse(
+            refuse(
                 "a dihedral angle in radians",
                 value,
                 ~((value > 0) & (value <= np.pi * (1 + 1e-6))),
@@ -99,7 +99,7 @@ class BeckmannGrooves(eqx.Module):
     4.45]. Renderers use α_b = √2 m.
 
     Args:
-        roughness: m, without unit, m ≥ 0; 0 is the flat surface.
+        roughness: m, without unit, m ≥ 0; 0 is the flat surface. Models reach up to 10.
 
     Raises:
         ValueError: the roughness is known and negative or not finite.
@@ -110,7 +110,7 @@ class BeckmannGrooves(eqx.Module):
     def __check_init__(self) -> None:
         value = concrete(self.roughness)
         if value is not None:
-            _refuse("a Beckmann roughness", value, ~((value >= 0) & np.isfinite(value)), "m ≥ 0")
+            refuse("a Beckmann roughness", value, ~((value >= 0) & np.isfinite(value)), "m ≥ 0")
 
 
 class Lambertian(eqx.Module):
@@ -128,7 +128,7 @@ class Lambertian(eqx.Module):
     def __check_init__(self) -> None:
         value = concrete(self.reflectance)
         if value is not None:
-            _refuse("a reflectance", value, ~((value >= 0) & (value <= 1)), "0 to 1", ". Did you pass percent?")
+            refuse("a reflectance", value, ~((value >= 0) & (value <= 1)), "0 to 1", ". Did you pass percent?")
 
 
 class Specular(eqx.Module):
@@ -152,7 +152,7 @@ class Specular(eqx.Module):
             raise ValueError(f"{self.polarization!r} is not a polarization: expected one of {POLARIZATIONS}")
         value = concrete(self.index)
         if value is not None:
-            _refuse(
+            refuse(
                 "a refractive index",
                 value,
                 ~((value.real > 0) & (value.imag >= 0) & np.isfinite(value)),
@@ -168,11 +168,24 @@ class TwoPanels(eqx.Module):
         first: material of the panel at y < 0, which faces a light with θ > 0, φ = 0.
         second: material of the panel at y > 0.
         alternating: average over grooves whose sides are swapped.
+
+    Raises:
+        ValueError: a panel is not ``Lambertian``, or their numbers of wavelengths differ.
     """
 
     first: Lambertian
     second: Lambertian
     alternating: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self) -> None:
+        for panel in (self.first, self.second):
+            if not isinstance(panel, Lambertian):
+                raise ValueError(f"{panel!r} is not a panel: expected Lambertian(reflectance) for each of the two")
+        shapes = {jnp.shape(panel.reflectance) for panel in (self.first, self.second)} - {()}
+        if len(shapes) > 1:
+            raise ValueError(
+                f"the panels' reflectances have shapes {sorted(shapes)}: expected the same wavelengths"
+            )
 
 
 class Diffuse(eqx.Module):
@@ -214,7 +227,7 @@ class Mixed(eqx.Module):
     def __check_init__(self) -> None:
         value = concrete(self.diffuse_fraction)
         if value is not None:
-            _refuse("a diffuse fraction", value, ~((value >= 0) & (value <= 1)), "0 to 1")
+            refuse("a diffuse fraction", value, ~((value >= 0) & (value <= 1)), "0 to 1")
 
 
 class View(eqx.Module):

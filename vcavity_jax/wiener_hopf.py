@@ -29,7 +29,7 @@ class Resolution:
     Args:
         step: spacing on the contour, and on the path of the symbol.
         reach: end of the contour; what lies beyond decays as exp(-reach) relative to a rim layer.
-        extent: largest τ times dihedral angle at which the symbol is not negligible, over 0.45.
+        extent: largest Re τ times dihedral angle at which the symbol is not negligible.
         smallest_angle: the smallest dihedral angle that this resolution is made for, radians.
     """
 
@@ -52,7 +52,7 @@ class Contour(NamedTuple):
     cauchy: np.ndarray
 
 
-_TILT, _SYMBOL_TILT, _SYMBOL_END = 0.45, 0.9, 30.0
+_TILT, SYMBOL_TILT, SYMBOL_END = 0.45, 0.9, 30.0
 
 
 @lru_cache(maxsize=64)
@@ -61,7 +61,7 @@ def contour(resolution: Resolution) -> Contour:
     x = np.arange(int(np.ceil(resolution.reach / resolution.step)) + 1) * resolution.step - 1j * _TILT
     tau, weight = np.sinh(x) / 2, resolution.step * np.cosh(x) / 2
     weight[0] /= 2
-    end = np.arccosh(max(resolution.extent / (0.45 * resolution.smallest_angle), 1.1))
+    end = np.arccosh(max(resolution.extent / (np.cos(_TILT) / 2 * resolution.smallest_angle), 1.1))
     inner = min(int(np.ceil(end / resolution.step)), len(tau))
     here, mirrored = -1j / (tau[:, None] + tau), -1j / (tau[:, None] - tau.conj())
     both, difference = here + mirrored, here - mirrored

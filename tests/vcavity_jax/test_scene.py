@@ -1,4 +1,4 @@
-"""Scenes: what is accepted, what is refused and how it is said, shapes, and how often programs are compiled."""
+"""Scenes: what is accepted, what is refused and how it is said, shapes, and reuse of programs."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -161,7 +161,7 @@ def test_view_broadcasts() -> None:
 
 
 def test_first_panel_faces_the_light() -> None:
-    """The convention, by hand: θ > 0, φ = 0 has e_y > 0 and meets the panel at y < 0; seen steeply, only it."""
+    """The convention, by hand: θ > 0, φ = 0 has e_y > 0 and meets the panel at y < 0, steeply only it."""
     bright_first = vc.TwoPanels(vc.Lambertian(0.8), vc.Lambertian(0.0))
     steep = vc.View(np.radians([80.0, -80.0]), 0.0)
     first, second = vc.reflectance_factor(scene(material=bright_first, view=steep))
@@ -170,7 +170,7 @@ def test_first_panel_faces_the_light() -> None:
 
 
 def test_parts_are_pytrees_of_arrays() -> None:
-    """Plain numbers become arrays of JAX's float type: a new value is not a new program, and has a gradient."""
+    """Plain numbers become arrays of JAX's float type: a new value is no new program, and has a gradient."""
     whole = scene(material=vc.Specular(1.5, "separate"))
     leaves = jax.tree.leaves(whole)
     assert all(isinstance(leaf, jax.Array) and leaf.dtype == jnp.float64 for leaf in leaves)

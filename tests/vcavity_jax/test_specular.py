@@ -64,8 +64,8 @@ def flat_reflectance(cosine: Any, index: Any) -> tuple[np.ndarray, np.ndarray]:
 def assert_exact(value: np.ndarray, truth: np.ndarray) -> None:
     """Absolute 1e-13, relative 1e-12 above 1e-6.
 
-    Some 20 reflections of rounded angles cost at most 3e-15 (measured); at exact kinks the rounding of the
-    input alone moves the value by 1e-16 of the larger of two products, 3e-13 of the value at worst (measured).
+    Rounded angles cost at most 4e-15 (measured). At exact kinks the rounding of the input alone moves the
+    value by 1e-16 of the larger of two products, 3e-13 of the value at worst (measured).
     """
     np.testing.assert_allclose(value, truth, rtol=0, atol=1e-13)
     bright = truth > 1e-6
@@ -83,7 +83,7 @@ def test_records(model: str) -> None:
 def test_dark_chains_keep_their_digits() -> None:
     """Down to 1e-300 a product of reflectances is as accurate as its factors: nothing cancels, no logarithms.
 
-    A relative 1e-10 instead of 1e-12: dark means n → 1, where kinks weigh R(M-1)/R(M), up to 1e6, times 1e-16.
+    A relative 1e-10 instead of 1e-12: the rounding of an angle weighs R(M-1)/R(M), up to 1e6, times 1e-16.
     """
     records = [r for r in TRUTH if 1e-300 < r["hdr"] < 1e-6 and r["model"] == "exact"]
     records = [r for r in records if not at_kink(r)]
@@ -146,8 +146,8 @@ def test_flat_limit_is_one_fresnel_reflection(model: str) -> None:
 def test_right_angle_by_hand() -> None:
     """90 degrees, φ = 0, light from θ = 20: incidence 45 - θ on the facing panel, 45 + θ on the other.
 
-    Drawn with a ruler: of the facing panel's light a share tan θ of the aperture passes the other panel's rim.
-    All else is reflected twice, once by each panel.
+    By ruler: of the facing panel's light a share tan θ of the aperture passes the other panel's rim. All
+    else is reflected twice, once by each panel.
     """
     theta = np.radians(20.0)
     index = 0.35 + 2.7j
@@ -173,7 +173,7 @@ def test_right_angle_by_hand() -> None:
 def test_published_shares_over_the_hemisphere(degrees: float, most: int, published: float) -> None:
     """Share of diffuse light that leaves after at most so many reflections; errata, table 4.
 
-    The shares do not depend on the tilt along the fold, so the hemisphere is ½∫ cos θ' dθ'. With α = π/k every
+    The shares do not depend on the tilt along the fold: the hemisphere is ½∫ cos θ' dθ'. With α = π/k every
     kink lies at a multiple of α/2: Gauss-Legendre between these leaves 1e-14; decimals are printed to 5e-7.
     """
     angle = jnp.radians(degrees)
@@ -211,8 +211,8 @@ def test_spectra_and_directions_are_outer() -> None:
     np.testing.assert_allclose(together, single, rtol=0, atol=1e-14)
 
 
-def test_glass_is_darkest_where_the_thesis_saw_it() -> None:
-    """Silicon, 45 degrees, along the fold: a minimum of 7.5e-4 near 60.75 degrees [thesis, figure 34b; errata].
+def test_silicon_is_darkest_where_the_thesis_saw_it() -> None:
+    """Silicon, 45 degrees, along the fold: a minimum of 7.5e-4 near 60.75 degrees [figure 34b; errata].
 
     The index of the errata is that of silicon at 550 nm; the wrong sign of r_p never goes below 0.03.
     """

@@ -43,9 +43,9 @@ def reference(kind: str, tolerance: float) -> Callable[..., Any]:
 
 
 def worst_excess(scenes: list[vc.Scene], kind: str, finest: float) -> dict[float, float]:
-    """Largest error over tolerance. Views and reflectances are of equal shape, so that few programs are compiled.
+    """Largest error over tolerance.
 
-    Errors grow where the value does: light and view both grazing send more than 1 back. The promise is absolute.
+    Errors grow where the value does: light and view both grazing. The promise is absolute all the same.
     """
     excess = dict.fromkeys(TOLERANCES, 0.0)
     for scene in scenes:
@@ -66,7 +66,7 @@ def diffusing(random: np.random.Generator, angle: float, kind: str) -> vc.Scene:
     if "open" in kind:  # seen and lit within the groove's opening
         polar = polar * (angle / 2 / 90)
     if "parallel" in kind:
-        source = random_directions(random, 1)[:, 0]
+        source = np.radians([random.uniform(-88, 88), random.choice([0.0, 20.0, 60.0, 130.0])])
         light = vc.Directional(source[0] * (angle / 2 / 90 if "open" in kind else 1), source[1])
     return vc.Scene(vc.VGrooves(np.radians(angle)), material, light, vc.View(polar, azimuth))
 
@@ -131,6 +131,27 @@ def test_mirrors(size: int) -> None:
         np.testing.assert_allclose(vc.reflectance_factor(scene, 1e-3), exact, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("tolerance", TOLERANCES)
+def test_grazing_from_opposite_sides(tolerance: float) -> None:
+    """Light and view graze the groove from opposite sides: no panel is both lit and seen, nothing diverges.
+
+    The value tends to a limit with a slope of 0.3 or less: at 1e-8 radians from grazing and at 90 degrees it
+    is that at 1e-4, to 1e-4. There the finest tolerance has 1e-16 / 1e-4 of rounding.
+    """
+
+    def value(distance: float, tolerance: float) -> np.ndarray:
+        grazing = np.pi / 2 - distance
+        light, view = vc.Directional(grazing, 0.4), vc.View(-grazing, 0.0)
+        scene = vc.Scene(vc.VGrooves(0.9), vc.Lambertian(REFLECTANCES), light, view)
+        return np.asarray(vc.reflectance_factor(scene, tolerance))
+
+    finest = value(1e-4, 1e-13)
+    np.testing.assert_allclose(finest, value(2e-4, 1e-13), rtol=0, atol=1e-4)
+    np.testing.assert_allclose(value(1e-4, tolerance), finest, rtol=0, atol=tolerance)
+    for distance in (1e-8, 0.0):
+        np.testing.assert_allclose(value(distance, tolerance), finest, rtol=0, atol=tolerance + 1e-4)
+
+
 MIRRORS = vc.Specular(np.array([0.35 + 2.7j, 1.5, 4.08 + 0.03j, 0.1249 + 3.3391j]))
 
 
@@ -138,11 +159,11 @@ MIRRORS = vc.Specular(np.array([0.35 + 2.7j, 1.5, 4.08 + 0.03j, 0.1249 + 3.3391j
     "m", [*(pytest.param(m, marks=pytest.mark.slow) for m in (0.01, 0.1, 1.0, 2.2, 5.0)), 0.4]
 )
 def test_random_grooves(m: float) -> None:
-    """Mirrors, 40 views of 4 indices, against the finest; that keeps the records to 1e-13 itself.
+    """Mirrors, 12 views of 4 indices, against the finest; that keeps the records to 1e-13 itself.
 
     Diffusers are held to an independent average in test_beckmann.
     """
-    view = vc.View(*random_directions(np.random.default_rng(70), 40))
+    view = vc.View(*random_directions(np.random.default_rng(70), 12))
     scene = vc.Scene(vc.BeckmannGrooves(m), MIRRORS, vc.Diffuse(), view)
     exact = np.asarray(vc.reflectance_factor(scene, 1e-13))
     for tolerance in TOLERANCES:
