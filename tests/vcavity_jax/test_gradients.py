@@ -231,7 +231,7 @@ def all_ways(value: Callable[..., Any], at: float, step: float, model: Any, brie
 @pytest.mark.parametrize("surface", SURFACES)
 def test_constants_closed_over(surface: str, model: str) -> None:
     value, at, step = SURFACES[surface]
-    all_ways(value, at, step, model, brief=surface == "Beckmann")
+    all_ways(value, at, step, model, brief=surface == "Beckmann" or model == "separate")
 
 
 @pytest.mark.slow
@@ -314,9 +314,19 @@ def assert_all_finite(function: Callable[..., Any], columns: list[Any], lowest: 
     assert np.max(value) <= highest + 1e-6
 
 
-@pytest.mark.parametrize("model", MODELS.values())
+FEW = [0.0, 1.2, np.pi / 2]
+
+
 @pytest.mark.parametrize(
-    ("angles", "polars"), [(ANGLES, POLARS), (NARROW, [0.0, 1.2, np.pi / 2])], ids=["wide", "narrow"]
+    ("angles", "polars", "model"),
+    [
+        *(pytest.param(ANGLES, POLARS, model, id=f"wide-{model}") for model in MODELS.values()),
+        pytest.param(NARROW, FEW, "full", id="narrow-full"),
+        *(
+            pytest.param(NARROW, FEW, model, id=f"narrow-{model}", marks=pytest.mark.slow)
+            for model in ("unpolarized", "separate")
+        ),
+    ],
 )
 def test_mirrors_finite_everywhere(angles: list[float], polars: list[float], model: Any) -> None:
     """Values from 0 to 1, but for the rounding of up to 1800 products."""
