@@ -134,4 +134,4 @@ def symbol_complement(angle: Float[Array, ""], resolution: Resolution) -> Comple
 
 def factorize(angle: Float[Array, ""], kappa: Float[Array, " kappa"], resolution: Resolution) -> Factorization:
     """(1 - κK)⁻¹ of the groove, for each κ from -1 to 1."""
-    return wiener_hopf.factorize(symbol_complement(angle, resolution), kappa, resolution)
+    return wiener_hopf.factorize(symbol_complement(angle, resolution), kappa, angle, resolution)

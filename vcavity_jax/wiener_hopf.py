@@ -84,23 +84,28 @@ class Factorization(NamedTuple):
     """What is known of (1 - κK)⁻¹ for each κ, shapes (contour, κ) or (κ,).
 
     ``mean`` is G, the mean of the response to uniform light; ``rim`` its value √G at the rim; ``edge`` the
-    weights c of the edge correction, ``whole`` those of the whole line.
+    weights c of the edge correction, ``whole`` those of the whole line. ``angle`` is the dihedral angle.
     """
 
     mean: Float[Array, " kappa"]
     rim: Float[Array, " kappa"]
     edge: Complex[Array, "nodes kappa"]
     whole: Complex[Array, "inner kappa"]
+    angle: Float[Array, ""]
 
 
 def factorize(
-    complement: Complex[Array, " inner"], kappa: Float[Array, " kappa"], resolution: Resolution
+    complement: Complex[Array, " inner"],
+    kappa: Float[Array, " kappa"],
+    angle: Float[Array, ""],
+    resolution: Resolution,
 ) -> Factorization:
     """Factor 1 - κ k̂ on the contour.
 
     Args:
         complement: 1 - k̂(τ) at the inner nodes of the contour, free of cancellation.
         kappa: -1 to 1, shape (K,).
+        angle: dihedral angle, radians; the symbol decays as exp(-angle τ).
         resolution: of the contour.
     """
     grid = contour(resolution)
@@ -114,7 +119,7 @@ def factorize(
     exponent = exponent.at[: grid.inner].add(-logarithm)
     edge = (weight / (2 * jnp.pi * (0.5 + 1j * tau)))[:, None] * complex_expm1(exponent.real, exponent.imag)
     whole = (inner_weight / (2 * jnp.pi * (0.25 + inner_tau * inner_tau)))[:, None] * (1 - factor) / factor
-    return Factorization(rim * rim, rim, edge, whole)
+    return Factorization(rim * rim, rim, edge, whole, angle)
 
 
 def log_distance(depth: Float[Array, "..."], visible: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -126,15 +131,15 @@ def log_distance(depth: Float[Array, "..."], visible: Float[Array, "..."]) -> Fl
     return jnp.where(hidden, jnp.minimum(jnp.where(near_rim, from_rim, -jnp.log(safe)), FULL), FULL)
 
 
-def _decay(tau: Array, sign: float, distance: Float[Array, ""]) -> Complex[Array, " nodes"]:
-    """exp(-(1/2 ± iτ) a) - 1 over the contour, sign +1 for +."""
-    return complex_expm1(-(0.5 - sign * tau.imag) * distance, -sign * tau.real * distance)
+def _decay(tau: Array, distance: Float[Array, ""]) -> Complex[Array, " nodes"]:
+    """exp(-(1/2 + iτ) a) - 1 over the contour."""
+    return complex_expm1(-(0.5 - tau.imag) * distance, -tau.real * distance)
 
 
 def _step(tau: Array, distance: Float[Array, ""], visible: Float[Array, ""]) -> Complex[Array, " nodes"]:
     """Transform of a step, (1 - y^(1/2 + iτ)) / (1 - y); at the rim (y = 1) its limit 1/2 + iτ."""
     rim = visible == 0
-    quotient = -_decay(tau, 1.0, distance) / jnp.where(rim, jnp.ones_like(visible), visible).astype(tau.dtype)
+    quotient = -_decay(tau, distance) / jnp.where(rim, jnp.ones_like(visible), visible).astype(tau.dtype)
     return jnp.where(rim, 0.5 + 1j * tau, quotient)
 
 
@@ -201,16 +206,30 @@ def step_step(
     order = first[0] >= second[0]
     deep = tuple(jnp.where(order, a, b) for a, b in zip(first, second, strict=True))
     near = tuple(jnp.where(order, b, a) for a, b in zip(first, second, strict=True))
-    gap = deep[0] - near[0]
-    passed = jnp.exp(lax.complex(inner.imag * gap - deep[0] / 2, -inner.real * gap))
-    difference = jnp.expm1(-near[0] / 2).astype(tau.dtype) - complex_expm1(
-        inner.imag * near[0], -inner.real * near[0]
+    # Both narrow, k̂ being even: only the even part of the line counts, and it does not grow as 1 / width. On the
+    # contour it is safe as long as the symbol decays faster than the cosines grow.
+    even = deep[0] < 0.2 * factors.angle
+    safe = tuple(jnp.where(even, d, jnp.zeros_like(d)) for d in (deep[0], near[0]))
+    line = jnp.where(
+        even,
+        (_line(inner, *safe, near[1]) + _line(-inner, *safe, near[1])) / 2,
+        _line(inner, deep[0], near[0], near[1]),
     )
-    rim = near[1] == 0
-    width = jnp.where(rim, jnp.ones_like(near[1]), near[1]).astype(tau.dtype)
-    shifted = jnp.where(rim, -0.5 + 1j * inner, difference / width)
-    line = (_step(inner, *near) + passed * shifted) / _nonzero(deep[1]).astype(tau.dtype)
+    touching = deep[0] < 1e-7 * factors.angle
+    line = jnp.where(touching, 0.25 + inner * inner, line / _nonzero(deep[1]).astype(tau.dtype))
     return 1 / _nonzero(deep[1]) + 2 * (line @ factors.whole).real - edge
+
+
+def _line(
+    tau: Array, deep: Float[Array, ""], near: Float[Array, ""], visible: Float[Array, ""]
+) -> Complex[Array, " nodes"]:
+    """What two steps have in common on the whole line, times the width of the deeper one."""
+    gap = deep - near
+    passed = jnp.exp(lax.complex(tau.imag * gap - deep / 2, -tau.real * gap))
+    difference = jnp.expm1(-near / 2).astype(tau.dtype) - complex_expm1(tau.imag * near, -tau.real * near)
+    rim = visible == 0
+    width = jnp.where(rim, jnp.ones_like(visible), visible).astype(tau.dtype)
+    return _step(tau, near, visible) + passed * jnp.where(rim, -0.5 + 1j * tau, difference / width)
 
 
 def step_response(
@@ -248,4 +267,4 @@ def step_response(
 
 def _nonzero(value: Float[Array, ""]) -> Float[Array, ""]:
     """A width below which the mean stops growing: it is infinite only where light and view both graze."""
-    return jnp.maximum(value, jnp.asarray(float(jnp.finfo(value.dtype).eps) ** 0.5, value.dtype))
+    return jnp.maximum(value, jnp.asarray(float(jnp.finfo(value.dtype).eps) ** 0.75, value.dtype))

@@ -420,7 +420,10 @@ def test_programs_are_kept_between_fits():
     scene, m = orange_like()
     first = problem.build(scene, m, [free.angle()], None, 1e-8)
     moved = vc.Scene(vc.VGrooves(0.7), scene.material, vc.Diffuse(), vc.View())
-    again = problem.build(moved, m, [free.angle(20, 90)], 0.01, 1e-8)
+    # The lower bound alone is compiled in: it says how fine the narrowest groove must be resolved.
+    again = problem.build(moved, m, [free.angle(upper_deg=90)], 0.01, 1e-8)
+    narrower = problem.build(moved, m, [free.angle(lower_deg=20)], 0.01, 1e-8)
     other = problem.build(scene, m, [free.angle(), free.gain()], None, 1e-8)
     assert first.programs is again.programs
     assert first.programs is not other.programs
+    assert first.programs is not narrower.programs
