@@ -209,12 +209,9 @@ def step_step(
     # Both narrow, k̂ being even: only the even part of the line counts, and it does not grow as 1 / width. On the
     # contour it is safe as long as the symbol decays faster than the cosines grow.
     even = deep[0] < 0.2 * factors.angle
-    safe = tuple(jnp.where(even, d, jnp.zeros_like(d)) for d in (deep[0], near[0]))
-    line = jnp.where(
-        even,
-        (_line(inner, *safe, near[1]) + _line(-inner, *safe, near[1])) / 2,
-        _line(inner, deep[0], near[0], near[1]),
-    )
+    a, b = (jnp.where(even, d, jnp.zeros_like(d)) for d in (deep[0], near[0]))
+    both_ways = (_line(inner, a, b, near[1]) + _line(-inner, a, b, near[1])) / 2
+    line = jnp.where(even, both_ways, _line(inner, deep[0], near[0], near[1]))
     touching = deep[0] < 1e-7 * factors.angle
     line = jnp.where(touching, 0.25 + inner * inner, line / _nonzero(deep[1]).astype(tau.dtype))
     return 1 / _nonzero(deep[1]) + 2 * (line @ factors.whole).real - edge
