@@ -1,6 +1,9 @@
 """Differentiable forward models of V-grooved surfaces, in closed form."""
 
 from vcavity_jax import materials as materials
+from vcavity_jax.geometries import (
+    cie_geometry as cie_geometry,
+)
 from vcavity_jax.kinks import kink_angles as kink_angles
 from vcavity_jax.reflectance import (
     radiance_profile as radiance_profile,
@@ -9,13 +12,25 @@ from vcavity_jax.reflectance import (
     reflectance_factor as reflectance_factor,
 )
 from vcavity_jax.scene import (
+    Annular as Annular,
+)
+from vcavity_jax.scene import (
     BeckmannGrooves as BeckmannGrooves,
 )
 from vcavity_jax.scene import (
     Diffuse as Diffuse,
 )
 from vcavity_jax.scene import (
+    DiffuseWithTrap as DiffuseWithTrap,
+)
+from vcavity_jax.scene import (
     Directional as Directional,
+)
+from vcavity_jax.scene import (
+    GaussianGrooves as GaussianGrooves,
+)
+from vcavity_jax.scene import (
+    Hemisphere as Hemisphere,
 )
 from vcavity_jax.scene import (
     Lambertian as Lambertian,

@@ -92,25 +92,51 @@ class VGrooves(eqx.Module):
             )
 
 
+def _check_roughness(roughness: Any) -> None:
+    value = concrete(roughness)
+    if value is not None:
+        flat = ". A flat surface is VGrooves(π)" if np.any(value == 0) else ""
+        refuse("a roughness", value, ~((value > 0) & np.isfinite(value)), "m > 0", flat)
+
+
 class BeckmannGrooves(eqx.Module):
     """V-grooves whose dihedral angle α is random, with Beckmann-distributed facet slopes.
 
     With α = π - 2 θ_h and t = tan θ_h, the density of t is (t/m²) exp(-t²/2m²) [SaintPierre2020, eq. 4.43 to
-    4.45]. Renderers use α_b = √2 m.
+    4.45]: the slopes of an isotropic surface, rms √2 m. Renderers use α_b = √2 m. Flat facets are rare.
 
     Args:
-        roughness: m, without unit, m ≥ 0; 0 is the flat surface. Models reach up to 10.
+        roughness: m, without unit, m > 0; it tends to the flat surface for m → 0. Models reach up to 10.
 
     Raises:
-        ValueError: the roughness is known and negative or not finite.
+        ValueError: the roughness is known and not positive or not finite.
     """
 
     roughness: Float[Array, ""] = eqx.field(converter=_real)
 
     def __check_init__(self) -> None:
-        value = concrete(self.roughness)
-        if value is not None:
-            refuse("a Beckmann roughness", value, ~((value >= 0) & np.isfinite(value)), "m ≥ 0")
+        _check_roughness(self.roughness)
+
+
+class GaussianGrooves(eqx.Module):
+    """V-grooves whose dihedral angle α is random, with the slopes of a Gaussian profile in one dimension.
+
+    With α = π - 2 θ_h and t = tan θ_h ≥ 0, the density of t is √(2/π)/m exp(-t²/2m²): what a surface that is
+    rough across the grooves and straight along them has, with the rms slope m. Flat facets are the most
+    frequent ones. See docs/conventions.md on when to choose which.
+
+    Args:
+        roughness: m, the rms slope, without unit, m > 0; it tends to the flat surface for m → 0. Models reach
+            up to 10.
+
+    Raises:
+        ValueError: the roughness is known and not positive or not finite.
+    """
+
+    roughness: Float[Array, ""] = eqx.field(converter=_real)
+
+    def __check_init__(self) -> None:
+        _check_roughness(self.roughness)
 
 
 class Lambertian(eqx.Module):
@@ -230,6 +256,66 @@ class Mixed(eqx.Module):
             refuse("a diffuse fraction", value, ~((value >= 0) & (value <= 1)), "0 to 1")
 
 
+class Annular(eqx.Module):
+    """A ring of light: uniform in azimuth at one polar angle, as in the geometry 45°a:0°.
+
+    Args:
+        polar: angle from the mean normal, radians, 0 to π/2.
+
+    Raises:
+        ValueError: a known angle lies outside its range.
+    """
+
+    polar: Float[Array, ""] = eqx.field(converter=_real)
+
+    def __check_init__(self) -> None:
+        value = concrete(self.polar)
+        if value is not None:
+            bad = ~((value >= 0) & (value <= np.pi / 2 * (1 + 1e-6)))
+            refuse("a polar angle of a ring in radians", value, bad, "0 to π/2", ". Did you pass degrees?")
+
+
+class DiffuseWithTrap(eqx.Module):
+    """Uniform light from the whole hemisphere but for a dark disk: an integrating sphere with a gloss trap.
+
+    The white diffuser that a reflectance factor refers to is lit by the same sphere, with its trap.
+
+    Args:
+        polar: angle of the trap's center from the mean normal, radians, -π/2 to π/2.
+        azimuth: its azimuth, radians.
+        half_angle: angle under which the trap's radius is seen from the sample, radians; 0 is no trap. The
+            trap must end above the horizon.
+
+    Raises:
+        ValueError: a known angle lies outside its range, or the trap reaches the horizon.
+    """
+
+    polar: Float[Array, ""] = eqx.field(converter=_real)
+    azimuth: Float[Array, ""] = eqx.field(converter=_real)
+    half_angle: Float[Array, ""] = eqx.field(converter=_real)
+
+    def __check_init__(self) -> None:
+        _check_direction(self.polar, self.azimuth)
+        polar, half_angle = concrete(self.polar), concrete(self.half_angle)
+        if half_angle is not None:
+            left = np.pi / 2 - (0.0 if polar is None else np.abs(polar))
+            bad = ~((half_angle >= 0) & (half_angle < left))
+            above = "0 up to less than the trap's height above the horizon"
+            refuse("a half-angle of a trap in radians", half_angle, bad, above, ". Did you pass degrees?")
+
+
+class Hemisphere(eqx.Module):
+    """All directions: as a view, a detector that collects all light; as an illumination, diffuse light.
+
+    A reflectance factor with a hemispherical view is the reflectance: reflected over incident flux.
+    """
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the directions: none."""
+        return ()
+
+
 class View(eqx.Module):
     """Directions of observation; any shape, polar and azimuth broadcast against each other.
 
@@ -253,15 +339,46 @@ class View(eqx.Module):
         return jnp.broadcast_shapes(jnp.shape(self.polar), jnp.shape(self.azimuth))
 
 
-Surface = VGrooves | BeckmannGrooves
+RandomGrooves = BeckmannGrooves | GaussianGrooves
+Surface = VGrooves | RandomGrooves
 Material = Lambertian | Specular | TwoPanels
-Illumination = Diffuse | Directional | Mixed
+Illumination = Diffuse | Directional | Mixed | Annular | DiffuseWithTrap
+
+
+def _part(name: str, kinds: Any) -> Any:
+    def check(value: Any) -> Any:
+        # What transformations put in place of a part (None, a marker) passes: they do not build scenes.
+        if isinstance(value, (int, float, str, type, np.ndarray)):
+            known = ", ".join(kind.__name__ for kind in kinds.__args__)
+            raise ValueError(f"{value!r} is not {name}: expected one of {known}")
+        return value
+
+    return check
+
+
+def _light(value: Any) -> Any:
+    return Diffuse() if isinstance(value, Hemisphere) else _part("an illumination", Illumination)(value)
+
+
+def _view(value: Any) -> Any:
+    return Hemisphere() if isinstance(value, Diffuse) else _part("a view", View | Hemisphere)(value)
 
 
 class Scene(eqx.Module):
-    """A grooved surface, what it is made of, how it is lit and from where it is seen."""
+    """A grooved surface, what it is made of, how it is lit and from where it is seen.
 
-    surface: Surface
-    material: Material
-    illumination: Illumination
-    view: View
+    Args:
+        surface: ``VGrooves``, ``BeckmannGrooves`` or ``GaussianGrooves``.
+        material: ``Specular``, ``Lambertian`` or ``TwoPanels``.
+        illumination: ``Diffuse`` (or ``Hemisphere``), ``Directional``, ``Mixed``, ``Annular`` or
+            ``DiffuseWithTrap``.
+        view: ``View``, or ``Hemisphere`` for a detector that collects all light.
+
+    Raises:
+        ValueError: a part is not one of these.
+    """
+
+    surface: Surface = eqx.field(converter=_part("a surface", Surface))
+    material: Material = eqx.field(converter=_part("a material", Material))
+    illumination: Illumination = eqx.field(converter=_light)
+    view: View | Hemisphere = eqx.field(converter=_view)
