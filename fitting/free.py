@@ -27,7 +27,7 @@ def angle(lower_deg: Number = 5.0, upper_deg: Number = 180.0, prior: Prior | Non
 
 
 def roughness(lower: Number = 0.01, upper: Number = 3.0, prior: Prior | None = None) -> Parameter:
-    """The roughness m of ``BeckmannGrooves``, on a logarithmic scale.
+    """The roughness m of ``BeckmannGrooves`` or ``GaussianGrooves``, on a logarithmic scale.
 
     Args:
         lower: smallest allowed m, without unit, > 0.

@@ -16,6 +16,8 @@ WEAK = 0.05
 """Smallest singular value of the scaled Jacobian below which parameters are hardly told apart."""
 
 SINGULAR = 1e-7
+# Roughness below which a matte surface looks flat to 0.0025, and a mirror seen from the front to 0.0005.
+_FLAT: dict[type, tuple[float, float]] = {vc.BeckmannGrooves: (0.1, 0.2), vc.GaussianGrooves: (0.14, 0.24)}
 _BAD_FIT = 1e-3
 _LIKELIHOOD_95 = 3.841458820694124
 
@@ -107,11 +109,11 @@ def find_warnings(
         uncertainty_estimated: sigma is not known but estimated.
     """
     found = _fit_quality(problem, chi_square, rms_misfit, uncertainty_estimated)
-    found += _directions(problem, estimates)
+    found += _blind_spots(problem, estimates)
     if len(minima) > 1:
         found.append(
             f"{len(minima)} distinct minima lie within 9 in chi-square ({_list_minima(problem, minima)}): "
-            "the data do not choose between them; add directions or fix what else is known"
+            f"the data do not choose between them; {more_to_measure(problem)} or fix what else is known"
         )
     for name, estimate in estimates.items():
         if estimate.at_kink:
@@ -124,13 +126,13 @@ def find_warnings(
     weakest = information.singular_values[-1]
     if information.singular:
         found.append(
-            "the parameters cannot be told apart (the Jacobian is singular): fix one, give a prior, or add "
-            "directions"
+            "the parameters cannot be told apart (the Jacobian is singular): fix one, give a prior, or "
+            f"{more_to_measure(problem)}"
         )
     elif weakest < WEAK:
         found.append(
             f"the parameters are hardly told apart (smallest singular value of the scaled Jacobian "
-            f"{weakest:.2g}, below {WEAK}): fix one, give a prior, or add directions"
+            f"{weakest:.2g}, below {WEAK}): fix one, give a prior, or {more_to_measure(problem)}"
         )
     return tuple(found)
 
@@ -153,43 +155,68 @@ def _fit_quality(problem: Problem, chi_square: float, rms_misfit: float, uncerta
     values, weights = np.asarray(problem.data.values), np.asarray(problem.data.weights)
     beyond = (values - 1) * weights > 3
     below = values * weights < -3
-    if isinstance(problem.scene.illumination, vc.Diffuse) and (beyond | below).any():
+    diffuse = isinstance(problem.scene.illumination, vc.Diffuse)
+    # Energy bounds the light that goes everywhere, and by reciprocity the one that comes from everywhere.
+    if (diffuse or problem.measurement.hemispherical) and (beyond | below).any():
         worst = values[beyond | below][np.argmax(np.abs(values[beyond | below] - 0.5))]
         found.append(
             f"{int((beyond | below).sum())} measured values lie outside 0 to 1 by more than three standard "
-            f"uncertainties (the worst is {worst:.3g}): no surface does that in diffuse light; "
-            "check the calibration"
+            f"uncertainties (the worst is {worst:.3g}): no surface does that "
+            f"{'in diffuse light' if diffuse else 'with all its light collected'}; check the calibration"
         )
     return found
 
 
-def _directions(problem: Problem, estimates: dict[str, Estimate]) -> list[str]:
-    """Views that cannot see what is asked of them."""
+def _known_directions(problem: Problem) -> tuple[np.ndarray, np.ndarray] | None:
+    """Polar angles and azimuths that the data distinguish; None if light and view are both averaged over.
+
+    Where all reflected light is collected they are those of the light, by reciprocity.
+    """
+    measurement, light = problem.measurement, problem.scene.illumination
+    if not measurement.hemispherical:
+        return measurement.polar, measurement.azimuth
+    if isinstance(light, vc.Directional):
+        return np.asarray(light.polar, np.float64)[None], np.asarray(light.azimuth, np.float64)[None]
+    return None
+
+
+def more_to_measure(problem: Problem) -> str:
+    """What measurement would say more, in words that follow "or"."""
+    if not problem.measurement.hemispherical:
+        return "add directions"
+    if _known_directions(problem) is None:
+        return "measure in single directions, as in d:8"
+    return "add directions of the light (as views in diffuse light, by reciprocity)"
+
+
+def _blind_spots(problem: Problem, estimates: dict[str, Estimate]) -> list[str]:
+    """What the geometry cannot see of what is asked of it."""
     scene = problem.scene
-    polar, azimuth = problem.measurement.polar, problem.measurement.azimuth
-    section = np.abs(np.arctan2(np.sin(polar) * np.cos(azimuth), np.cos(polar)))
-    found = []
-    if problem.nonlinear and (section < 1e-6).all() and (np.abs(polar) > 1e-6).any():
-        found.append(
-            "all directions lie along the grooves (tan θ' = tan θ cos φ = 0): they tell little more about "
-            "the grooves than one frontal view; add directions across them"
-        )
     shiny = isinstance(scene.material, vc.Specular)
-    angle = problem.nonlinear[problem.is_angle].name if problem.is_angle is not None else None
-    if (
-        shiny
-        and angle is not None
-        and estimates[angle].value > np.radians(120)
-        and (section < np.radians(30)).all()
-    ):
-        found.append(
-            "each ray is reflected once, near the normal, where the reflectance hardly depends on the angle: "
-            "these directions are blind; add one at θ ≥ 75 degrees across the grooves"
-        )
+    # Light or view averages over the hemisphere: which of them does not matter, by reciprocity.
+    averaged = isinstance(scene.illumination, vc.Diffuse) or problem.measurement.hemispherical
+    known = _known_directions(problem)
+    frontal = known is not None and bool((np.abs(known[0]) < np.radians(60)).all())
+    found = []
+    if known is not None:
+        polar, azimuth = known
+        section = np.abs(np.arctan2(np.sin(polar) * np.cos(azimuth), np.cos(polar)))
+        if problem.nonlinear and (section < 1e-6).all() and (np.abs(polar) > 1e-6).any():
+            found.append(
+                "all directions lie along the grooves (tan θ' = tan θ cos φ = 0): they tell little more about "
+                "the grooves than one frontal view; add directions across them"
+            )
+        angle = None if problem.is_angle is None else estimates[problem.nonlinear[problem.is_angle].name].value
+        steep = angle is not None and angle > np.radians(120)
+        if shiny and averaged and steep and (section < np.radians(30)).all():
+            found.append(
+                "each ray is reflected once, near the normal, where the reflectance hardly depends on the angle: "
+                "these directions are blind; add one at θ ≥ 75 degrees across the grooves"
+            )
     rough = estimates.get("roughness")
-    if rough is not None and isinstance(scene.surface, vc.BeckmannGrooves):
-        frontal = (np.abs(polar) < np.radians(60)).all()
-        limit = (0.2 if frontal else 0.0) if shiny else 0.1
+    if rough is not None and averaged and isinstance(scene.surface, tuple(_FLAT)):
+        matte_limit, mirror_limit = _FLAT[type(scene.surface)]
+        limit = (mirror_limit if frontal else 0.0) if shiny else matte_limit
         if rough.value < limit:
             found.append(
                 f"roughness {rough.value:.2g} is below {limit}, where the reflectance no longer depends on "
@@ -211,8 +238,8 @@ def _one_sided(problem: Problem, name: str, estimate: Estimate) -> str:
     else:
         limit = f"only that it is at most {shown_high:.4g}{unit}"
     return (
-        f"{name} is not determined within its allowed range ({limit}): no standard error; add directions, "
-        "widen the range, or fix what else is known"
+        f"{name} is not determined within its allowed range ({limit}): no standard error; "
+        f"{more_to_measure(problem)}, widen the range, or fix what else is known"
     )
 
 

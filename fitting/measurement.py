@@ -19,7 +19,8 @@ class Measurement:
     """Reflectance factors of one sample, seen from D directions at L wavelengths.
 
     The arrays are copied to float64 and are read-only. NaN in `reflectance_factor` marks a missing
-    value, which a fit leaves out.
+    value, which a fit leaves out. If the detector collected all reflected light, there is one row (D = 1)
+    which has no direction: `hemispherical` is true, and `polar` and `azimuth` are NaN.
 
     Args:
         wavelengths_nm: nm, shape (L,), positive and strictly increasing.
@@ -31,10 +32,11 @@ class Measurement:
         illumination: a light of `vcavity_jax`; None stands for the default, `vcavity_jax.Diffuse()`.
         metadata: the text that came with the file, as written ("comments" holds its free lines). It is
             for people: a `reflectance_unit: percent` in it has been applied to the arrays already.
+        hemispherical: the detector collects all reflected light, as in the geometries d:d, 0:d and 8:d.
 
     Raises:
         ValueError: shapes disagree, a wavelength or an angle lies outside its range, a value is infinite,
-            or an uncertainty is not positive.
+            an uncertainty is not positive, or a hemispherical measurement has directions.
     """
 
     # Plain arrays: __post_init__ checks shapes and values together, and says what is expected.
@@ -45,6 +47,7 @@ class Measurement:
     standard_uncertainty: np.ndarray | None = None
     illumination: Any = None
     metadata: dict[str, str] = field(default_factory=dict)
+    hemispherical: bool = False
 
     def __post_init__(self) -> None:
         for name in _ARRAYS:
@@ -53,12 +56,15 @@ class Measurement:
                 array = np.array(value, dtype=np.float64)
                 array.setflags(write=False)
                 object.__setattr__(self, name, array)
-        if self.illumination is None:
-            object.__setattr__(self, "illumination", _illumination(None))
-        elif isinstance(self.illumination, str):
+        if isinstance(self.illumination, str):
             raise ValueError(
                 f"illumination is the text {self.illumination!r}; expected a light such as vcavity_jax.Diffuse()"
             )
+        # JAX takes half a second to import: whoever only imports this module does not pay for it.
+        import vcavity_jax
+
+        if self.illumination is None or isinstance(self.illumination, vcavity_jax.Hemisphere):
+            object.__setattr__(self, "illumination", vcavity_jax.Diffuse())
         self._check_axes()
         self._check_values()
 
@@ -67,17 +73,24 @@ class Measurement:
             array = getattr(self, name)
             if array.ndim != 1 or array.size == 0:
                 raise ValueError(f"{name} has shape {array.shape}; expected one axis with at least one value")
-            _refuse(name, array, ~np.isfinite(array), "expected finite numbers")
+        wavelengths = self.wavelengths_nm
+        _refuse("wavelengths_nm", wavelengths, ~np.isfinite(wavelengths), "expected finite numbers")
+        _refuse("wavelengths_nm", wavelengths, wavelengths <= 0, "expected positive numbers")
+        falls = np.diff(wavelengths, prepend=-np.inf) <= 0
+        _refuse("wavelengths_nm", wavelengths, falls, "expected strictly increasing wavelengths")
         if self.polar.shape != self.azimuth.shape:
             raise ValueError(
                 f"polar has shape {self.polar.shape}, azimuth {self.azimuth.shape}; expected the same shape"
             )
-        wavelengths = self.wavelengths_nm
-        _refuse("wavelengths_nm", wavelengths, wavelengths <= 0, "expected positive numbers")
-        falls = np.diff(wavelengths, prepend=-np.inf) <= 0
-        _refuse("wavelengths_nm", wavelengths, falls, "expected strictly increasing wavelengths")
+        if self.hemispherical and self.polar.size > 1:
+            raise ValueError(f"polar has shape {self.polar.shape}; expected (1,), because all light is collected")
         for name, limit, words in (("polar", np.pi / 2, "-π/2 to π/2"), ("azimuth", 2 * np.pi, "-2π to 2π")):
             array = getattr(self, name)
+            if self.hemispherical:
+                _refuse(name, array, ~np.isnan(array), "expected NaN: what collects all light has no direction")
+                continue
+            hint = "expected finite numbers (NaN with hemispherical=True, if all light is collected)"
+            _refuse(name, array, ~np.isfinite(array), hint)
             beyond = np.abs(array) > limit + _ANGLE_SLACK
             _refuse(name, array, beyond, f"expected {words} radians: did you pass degrees?")
 
@@ -109,9 +122,10 @@ class Measurement:
         Three forms are read: tidy CSV (`wavelength_nm, polar_deg, azimuth_deg, reflectance_factor`,
         optional `standard_uncertainty`); a spectrum (`wavelength_nm, reflectance_factor`, or two columns
         of bare numbers); a table of samples (`wavelength_nm` and one column per sample). The last two are
-        one frontal view in diffuse light unless `# key: value` lines say otherwise (`polar_deg`,
-        `azimuth_deg`, `illumination`, `standard_uncertainty`). Wavelength and direction pairs that no row
-        gives are NaN; so are empty cells.
+        one frontal view in diffuse light unless `# key: value` lines say otherwise: `geometry` names light
+        and view at once (`geometry: d:8`, with `geometry_azimuth_deg` and `trap_half_angle_deg` if need
+        be), or `illumination`, `polar_deg` and `azimuth_deg` give them one by one; `standard_uncertainty`
+        may stand there too. Wavelength and direction pairs that no row gives are NaN; so are empty cells.
 
         Args:
             path: the file, UTF-8 text of at most 256 MB.
@@ -120,7 +134,8 @@ class Measurement:
 
         Returns:
             The measurement, with reflectance as a fraction and angles in radians. Directions stand in the
-            order in which they first appear. `standard_uncertainty` is None if the file gives none.
+            order in which they first appear; where all reflected light is collected they are one NaN.
+            `standard_uncertainty` is None if the file gives none.
 
         Raises:
             OSError: the file is missing, a directory or not readable.
@@ -134,9 +149,18 @@ class Measurement:
             azimuth=contents.azimuth,
             reflectance_factor=contents.reflectance_factor,
             standard_uncertainty=contents.standard_uncertainty,
-            illumination=_illumination(contents.light),
+            illumination=contents.illumination,
             metadata=contents.metadata,
+            hemispherical=contents.hemispherical,
         )
+
+    @property
+    def view(self) -> Any:
+        """The view of a scene that is seen as this was: a `vcavity_jax.View`, or a `vcavity_jax.Hemisphere`."""
+        import vcavity_jax
+
+        angles: Any = self.polar, self.azimuth
+        return vcavity_jax.Hemisphere() if self.hemispherical else vcavity_jax.View(*angles)
 
     def select(self, *, wavelengths_nm: tuple[float, float]) -> "Measurement":
         """The part of the measurement between two wavelengths, both included.
@@ -201,14 +225,6 @@ def read_spectrum(
             "measure it or delete the row"
         )
     return contents.wavelengths_nm, reflectance, contents.metadata
-
-
-def _illumination(light: tuple[Any, Any] | None) -> Any:
-    """The light from (polar, azimuth) in radians; None is diffuse."""
-    # JAX takes half a second to import: whoever only imports this module does not pay for it.
-    import vcavity_jax
-
-    return vcavity_jax.Diffuse() if light is None else vcavity_jax.Directional(*light)
 
 
 def _refuse(name: str, array: np.ndarray, bad: np.ndarray, expected: str) -> None:

@@ -6,6 +6,7 @@ and marker, not in hue alone. Figures are drawn without pyplot, so no state of t
 # ruff: noqa: RUF001 (the labels are typeset: Greek letters, a real minus)
 
 import io
+from collections.abc import Callable
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -82,13 +83,27 @@ def plot_fit(result: FitResult, path: str | PathLike[str]) -> None:
         OSError: the file cannot be written.
         ValueError: the ending is none of the three.
     """
+    write_figure(lambda: _draw(result), path)
+
+
+def write_figure(draw: Callable[[], Figure], path: str | PathLike[str]) -> None:
+    """Draw a figure in the style of this package and write it, whole or not at all.
+
+    Args:
+        draw: makes the figure; it is called with the style set.
+        path: the file; its ending, .png, .pdf or .svg, decides the format.
+
+    Raises:
+        OSError: the file cannot be written.
+        ValueError: the ending is none of the three.
+    """
     target = Path(path)
     kind = target.suffix.lower().removeprefix(".")
     if kind not in FORMATS:
         raise ValueError(f"{path}: the ending is {target.suffix!r}; expected .png, .pdf or .svg")
     # The caller's matplotlibrc has no say, and nothing of ours stays behind.
     with matplotlib.style.context(["default", _STYLE]):
-        figure = _draw(result)
+        figure = draw()
         contents = io.BytesIO()
         dates: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
         figure.savefig(contents, format=kind, dpi=300, metadata=dates.get(kind, {}))
@@ -189,6 +204,8 @@ def _series(result: FitResult) -> tuple[list[_Series], str, int]:
         members = [group[np.argsort(polar[group], kind="stable")] for group in members]
         series = [cut(_degrees(azimuth[group[0]]), polar[group], (group, 0)) for group in members]
         return series, "polar angle of the view (deg)", len(groups)
+    if m.hemispherical:
+        return [cut("all directions", m.wavelengths_nm, 0)], "wavelength (nm)", 1
     one_azimuth = np.ptp(azimuth) < 1e-9
     series = [
         cut(
@@ -209,6 +226,8 @@ def _chosen(all_of_them: list[Any]) -> list[Any]:
 
 def _legend_title(result: FitResult) -> str:
     m = result.measurement
+    if m.hemispherical:
+        return "view"
     if m.wavelengths_nm.size == 1 and m.polar.size > 1:
         return f"azimuth of the view at {m.wavelengths_nm[0]:g} nm"
     if np.ptp(m.azimuth) < 1e-9:

@@ -20,6 +20,7 @@ import vcavity_jax as vc
 from fitting.measurement import Measurement
 from fitting.parameters import Parameter
 from fitting.programs import CHUNK, Data, Programs, programs_for
+from vcavity_jax.resolution import NARROWEST
 
 MOST_NONLINEAR = 3
 _FIRST_GUESS = 0.01
@@ -162,8 +163,7 @@ def build(
     """
     nonlinear, linear = _sorted_parameters(parameters)
     _check_light(scene.illumination, measurement.illumination)
-    view = vc.View(polar=jnp.asarray(measurement.polar), azimuth=jnp.asarray(measurement.azimuth))
-    scene = eqx.tree_at(lambda s: s.view, scene, view)
+    scene = vc.Scene(scene.surface, scene.material, scene.illumination, measurement.view)
     slots = [_slot(scene, parameter) for parameter in nonlinear]
     for i, slot in enumerate(slots):
         if slot in slots[:i]:
@@ -195,6 +195,11 @@ def build(
     roles = tuple(p.role for p in linear)
     scales = tuple(p.scale for p in nonlinear)
     smallest_angle = None if is_angle is None else nonlinear[is_angle].lower
+    if smallest_angle is not None and smallest_angle < NARROWEST:
+        raise ValueError(
+            f"dihedral angles from {math.degrees(smallest_angle):g} degrees; expected a lower bound of at least "
+            f"{math.degrees(NARROWEST):g} degrees, the narrowest groove that is modeled"
+        )
     programs = programs_for(
         scene, slots, known, scales, roles, tolerance, smallest_angle, data.values.shape, place
     )

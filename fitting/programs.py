@@ -243,12 +243,13 @@ def programs_for(
 
     def model(values: Array, others: tuple[Array, ...]) -> Array:
         factor = evaluate(place([values[i] for i in range(len(slots))], others))
-        return jnp.broadcast_to(factor if factor.ndim == 2 else factor[:, None], shape)
+        # A hemispherical view has no axis of directions, a gray material none of wavelengths.
+        return jnp.broadcast_to(jnp.reshape(factor, (shape[0], -1)), shape)
 
     numbers = [jax.ShapeDtypeStruct((), dtype) for _ in slots]
     others = [leaves[i] for i in passed]
     full = jax.eval_shape(lambda v, k: evaluate(place(v, k)), numbers, others)
-    found = full.shape[1:]
+    found = full.shape[len(scene.view.shape) :]
     if found not in ((), (shape[1],)):
         raise ValueError(
             f"the material has wavelength shape {found}, the measurement {shape[1]} wavelengths; expected () "

@@ -233,8 +233,8 @@ def _status(
     if open_names or information.singular:
         names = ", ".join(open_names) or "the combination of the free parameters"
         return "not identifiable", (
-            f"the data do not determine {names} within the allowed range: add directions, fix another "
-            "parameter, or give a prior"
+            f"the data do not determine {names} within the allowed range: "
+            f"{identifiability.more_to_measure(problem)}, fix another parameter, or give a prior"
         )
     if not converged:
         return "not converged", (

@@ -233,7 +233,7 @@ def _scene_part(part: Any) -> dict[str, Any]:
         value = getattr(part, field.name)
         if dataclasses.is_dataclass(value):
             described[field.name] = _scene_part(value)
-        elif field.name in ("angle", "polar", "azimuth"):
+        elif field.name in ("angle", "polar", "azimuth", "half_angle"):
             described[f"{field.name}_deg"] = np.degrees(np.asarray(value))
         elif isinstance(value, str | bool):
             described[field.name] = value

@@ -1,10 +1,23 @@
 """Differentiable forward models of V-grooved surfaces, in closed form."""
 
+from vcavity_jax import colorimetry as colorimetry
 from vcavity_jax import materials as materials
 from vcavity_jax.geometries import (
     cie_geometry as cie_geometry,
 )
 from vcavity_jax.kinks import kink_angles as kink_angles
+from vcavity_jax.maps import (
+    ReflectanceMap as ReflectanceMap,
+)
+from vcavity_jax.maps import (
+    reflectance_map as reflectance_map,
+)
+from vcavity_jax.maps import (
+    reflection_count as reflection_count,
+)
+from vcavity_jax.reflectance import (
+    bihemispherical_table as bihemispherical_table,
+)
 from vcavity_jax.reflectance import (
     radiance_profile as radiance_profile,
 )

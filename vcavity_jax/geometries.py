@@ -1,6 +1,6 @@
 """The geometries of instruments by their names in the standards: where the light comes from and goes to."""
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -24,7 +24,9 @@ GLOSS_TRAP = np.deg2rad(6.0)
 """Half-angle of the default gloss trap, radians. [CIE15] lets the rays of the receiver deviate by up to 5° from
 its axis, and asks that no light that a mirror reflects come within 1° of what is measured."""
 
-_EIGHT, _FORTY_FIVE = np.deg2rad(8.0), np.deg2rad(45.0)
+_NORMAL: Any = 0.0
+_EIGHT: Any = np.deg2rad(8.0)
+_FORTY_FIVE: Any = np.deg2rad(45.0)
 
 
 def cie_geometry(
@@ -52,7 +54,8 @@ def cie_geometry(
     Raises:
         ValueError: the name is not known (the message lists those that are), or the trap covers the receiver.
     """
-    frontal, eight = View(0.0, 0.0), View(_EIGHT, azimuth)
+    turned: Any = azimuth
+    frontal, eight = View(_NORMAL, _NORMAL), View(_EIGHT, turned)
     if name == "d:0":
         return Diffuse(), frontal
     if name in ("d:8", "di:8"):
@@ -67,15 +70,16 @@ def cie_geometry(
                 "0 to less than 16 degrees (0.2793), where the trap covers the detector",
             )
         # Where a flat mirror sends the light of the receiver's direction: the other side of the normal.
-        return DiffuseWithTrap(-_EIGHT, azimuth, trap_half_angle), eight
+        radius: Any = trap_half_angle
+        return DiffuseWithTrap(-_EIGHT, turned, radius), eight
     if name == "d:d":
         return Diffuse(), Hemisphere()
     if name == "0:d":
-        return Directional(0.0, 0.0), Hemisphere()
+        return Directional(_NORMAL, _NORMAL), Hemisphere()
     if name == "8:d":
-        return Directional(_EIGHT, azimuth), Hemisphere()
+        return Directional(_EIGHT, turned), Hemisphere()
     if name == "45a:0":
         return Annular(_FORTY_FIVE), frontal
     if name == "45x:0":
-        return Directional(_FORTY_FIVE, azimuth), frontal
+        return Directional(_FORTY_FIVE, turned), frontal
     raise ValueError(f"{name!r} is not a geometry: expected one of {', '.join(GEOMETRIES)}")

@@ -7,7 +7,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from vcavity_jax.scene import Directional, Mixed, Scene, Specular, VGrooves
+from vcavity_jax.directions import components
+from vcavity_jax.illumination import shadow_sections
+from vcavity_jax.safe import safe_divide, safe_hypot
+from vcavity_jax.scene import (
+    Annular,
+    DiffuseWithTrap,
+    Directional,
+    Mixed,
+    Scene,
+    Specular,
+    VGrooves,
+    View,
+)
+from vcavity_jax.specular import Trap
 
 
 def reflection_kinks(
@@ -30,10 +43,52 @@ def reflection_kinks(
     return jnp.concatenate(families, axis=-1)
 
 
+def trap_kinks(
+    along: Float[Array, "..."],
+    across: Float[Array, "..."],
+    normal: Float[Array, "..."],
+    trap: Trap,
+    most: int,
+) -> Float[Array, "... kinks"]:
+    """Dihedral angles at which paths seen from a direction turn into a gloss trap or out of it.
+
+    Args:
+        along: e_x of the direction (along the fold).
+        across: e_y (across the grooves).
+        normal: e_z, ≥ 0.
+        trap: see ``specular.Trap``.
+        most: largest number of reflections to list.
+
+    Returns:
+        Radians; π where there is none.
+    """
+    cosine = safe_divide(
+        jnp.cos(trap.half_angle) + along * trap.along,
+        safe_hypot(across, normal) * safe_hypot(trap.across, trap.normal),
+    )
+    crossed = jnp.abs(cosine) < 1
+    reach = jnp.arccos(jnp.where(crossed, cosine, jnp.zeros_like(cosine)))
+    vertical = (across == 0) & (normal == 0)
+    section = jnp.arctan2(across, jnp.where(vertical, jnp.ones_like(normal), normal))
+    center = jnp.arctan2(trap.across, trap.normal)
+    order = jnp.arange(1, most + 1, dtype=section.dtype)
+    odd = jnp.mod(order, 2)
+    found = []
+    for side in (1, -1):
+        for edge in (center + reach, center - reach):
+            # Unfolded, a path leaves at the section angle d: θ' + mα = d - π for even m, π - d for odd m.
+            left = side * edge[..., None]
+            turn = odd * (jnp.pi - left) + (1 - odd) * (left - jnp.pi) - side * section[..., None]
+            found.append(jnp.mod(turn, 2 * jnp.pi) / order)
+    kinks = jnp.concatenate(found, axis=-1)
+    return jnp.where(crossed[..., None] & (kinks > 0), kinks, jnp.full_like(kinks, jnp.pi))
+
+
 def kink_angles(scene: Scene, lower: float, upper: float) -> np.ndarray:
     """Sorted dihedral angles between two limits at which the scene's reflectance factor has a kink, radians.
 
-    Empty for randomly grooved surfaces, whose average is smooth.
+    With a gloss trap, a mirror groove's jumps at some of them. Empty for randomly grooved surfaces, whose average
+    is smooth, and for diffusing panels in diffuse light seen by a hemisphere.
 
     Args:
         scene: its view and illumination must be known (not traced).
@@ -52,13 +107,41 @@ def kink_angles(scene: Scene, lower: float, upper: float) -> np.ndarray:
         )
     if not isinstance(scene.surface, VGrooves):
         return np.empty(0)
-    polar, azimuth = np.broadcast_arrays(np.asarray(scene.view.polar), np.asarray(scene.view.azimuth))
-    light = scene.illumination.directional if isinstance(scene.illumination, Mixed) else scene.illumination
-    if isinstance(light, Directional):
-        polar, azimuth = np.append(polar, light.polar), np.append(azimuth, light.azimuth)
-    section = np.arctan2(np.sin(polar) * np.cos(azimuth), np.cos(polar)).ravel()
-    if isinstance(scene.material, Specular):
-        found = np.asarray(reflection_kinks(jnp.asarray(section), int(np.ceil(2 * np.pi / lower)) + 1)).ravel()
-    else:
-        found = 2 * np.abs(section)
+    found = _of_mirrors(scene, lower) if isinstance(scene.material, Specular) else _of_diffusers(scene)
     return np.unique(found[(found >= lower) & (found <= upper)])
+
+
+def _of_diffusers(scene: Scene) -> np.ndarray:
+    sections = [np.abs(np.asarray(shadow_sections(scene.illumination))).ravel()]
+    if isinstance(scene.view, View):
+        _, across, normal = _view_components(scene.view)
+        sections.append(np.abs(np.arctan2(across, normal)).ravel())
+    return 2 * np.concatenate(sections)
+
+
+def _of_mirrors(scene: Scene, lower: float) -> np.ndarray:
+    light, most = scene.illumination, int(np.ceil(2 * np.pi / lower)) + 1
+    if isinstance(scene.view, View):
+        along, across, normal = _view_components(scene.view)
+    elif isinstance(light, Annular):
+        # The ring's own section angle is where paths set in; 0 is the one where all of it changes at once.
+        ring = np.array([0.0, float(light.polar)])
+        along, across, normal = np.zeros(2), np.sin(ring), np.cos(ring)
+    elif isinstance(light, Directional | Mixed):
+        light = light.directional if isinstance(light, Mixed) else light
+        along, across, normal = (np.asarray(part) for part in components(light.polar, light.azimuth))
+    else:
+        return np.pi / np.arange(1, most + 1)
+    section = jnp.asarray(np.arctan2(across, normal).ravel())
+    found = [np.asarray(reflection_kinks(section, most)).ravel()]
+    if isinstance(light, DiffuseWithTrap):
+        trap = Trap(*components(light.polar, light.azimuth), light.half_angle)
+        view = jnp.asarray(along), jnp.asarray(across), jnp.asarray(normal)
+        found.append(np.asarray(trap_kinks(*view, trap, most)).ravel())
+    return np.concatenate(found)
+
+
+def _view_components(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    polar, azimuth = jnp.broadcast_arrays(view.polar, view.azimuth)
+    along, across, normal = (np.asarray(part).ravel() for part in components(polar, azimuth))
+    return along, across, normal

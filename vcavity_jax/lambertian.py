@@ -5,6 +5,7 @@ Scenes whose panels are fully lit and fully seen need G alone, one real sum. doc
 """
 
 import dataclasses
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -63,20 +64,18 @@ def _mean_nodes(resolution: MeanResolution) -> _MeanNodes:
     return _MeanNodes(tau, weight, int(np.sum(tau <= OSCILLATING)), w, w_weight, z)
 
 
-def mean_response(
-    angle: Float[Array, ""], kappa: Float[Array, " kappa"], resolution: MeanResolution
-) -> Float[Array, " kappa"]:
-    """G(α, κ) = ⟨1, (1 - κK)⁻¹ 1⟩ = exp(-(1/π) ∫ ln(1 - κ k̂(τ)) / (τ² + 1/4) dτ), τ from 0 to ∞.
-
-    All terms are positive, so the relative accuracy depends neither on 1 - κ nor on the angle.
+def mean_symbol(angle: Float[Array, ""], resolution: MeanResolution) -> tuple[Array, Array]:
+    """1 - k̂ at the nodes of the sums for G, without cancellation, and their weights 2 dτ / (π (4τ² + 1)).
 
     Args:
         angle: dihedral angle, radians.
-        kappa: -1 to 1, shape (K,).
         resolution: see ``resolution.mean_resolution``.
+
+    Returns:
+        Complement and weight, both of shape (nodes, 1) to go with κ.
     """
     nodes = _mean_nodes(resolution)
-    dtype = kappa.dtype
+    dtype = angle.dtype
     tau, weight = jnp.asarray(nodes.tau, dtype), jnp.asarray(nodes.weight, dtype)
     s = jnp.sin(angle / 2)
     squared_cosine = jnp.cos(angle / 2) ** 2
@@ -96,8 +95,104 @@ def mean_response(
         wave = jnp.exp(-tau[nodes.slow :, None] * t_complex.imag)
         decaying = (wave * jnp.cos(phase)) @ density.real - (wave * jnp.sin(phase)) @ density.imag
         parts.append(1 - squared_cosine * decaying)
-    complement = jnp.concatenate(parts)[:, None]
-    return jnp.exp(-jnp.sum(weight[:, None] * jnp.log((1 - kappa) + kappa * complement), axis=0))
+    return jnp.concatenate(parts)[:, None], weight[:, None]
+
+
+def mean_response(
+    angle: Float[Array, ""], kappa: Float[Array, " kappa"], resolution: MeanResolution
+) -> Float[Array, " kappa"]:
+    """G(α, κ) = ⟨1, (1 - κK)⁻¹ 1⟩ = exp(-(1/π) ∫ ln(1 - κ k̂(τ)) / (τ² + 1/4) dτ), τ from 0 to ∞.
+
+    All terms are positive, so the relative accuracy depends neither on 1 - κ nor on the angle.
+
+    Args:
+        angle: dihedral angle, radians.
+        kappa: -1 to 1, shape (K,).
+        resolution: see ``resolution.mean_resolution``.
+    """
+    complement, weight = mean_symbol(angle, resolution)
+    return jnp.exp(-jnp.sum(weight * jnp.log((1 - kappa) + kappa * complement), axis=0))
+
+
+def mean_exchange(
+    angle: Float[Array, ""], reflectance: Float[Array, " kappa"], resolution: MeanResolution
+) -> Float[Array, " kappa"]:
+    """(G - 1) / r = ⟨K 1, (1 - rK)⁻¹ 1⟩: how much light the panels exchange; smooth down to r = 0.
+
+    Args:
+        angle: dihedral angle, radians.
+        reflectance: of both panels, 0 to 1, shape (K,).
+        resolution: see ``resolution.mean_resolution``.
+    """
+    complement, weight = mean_symbol(angle, resolution)
+    symbol = 1 - complement
+    rest = (1 - reflectance) + reflectance * complement
+    slope = jnp.sum(weight * symbol * _log_quotient(reflectance * symbol, rest), axis=0)
+    return slope * _expm1_quotient(reflectance * slope)
+
+
+def mean_exchanges(
+    angle: Float[Array, ""], product: Float[Array, " kappa"], resolution: MeanResolution
+) -> tuple[Float[Array, " kappa"], Float[Array, " kappa"]]:
+    """G's parts for two panels, with ρ² = r₁ r₂: (G(ρ) + G(-ρ) - 2) / 2ρ² and (G(ρ) - G(-ρ)) / 2ρ.
+
+    Both are smooth functions of ρ²: with ln G(±ρ) = p ± ρ q they need p / ρ², q and no square root of ρ².
+
+    Args:
+        angle: dihedral angle, radians.
+        product: r₁ r₂, 0 to 1, shape (K,).
+        resolution: see ``resolution.mean_resolution``.
+    """
+    complement, weight = mean_symbol(angle, resolution)
+    symbol = 1 - complement
+    squared = product * symbol * symbol
+    rest = (1 - product) + product * complement * (1 + symbol)
+    even = jnp.sum(weight * symbol * symbol * _log_quotient(squared, rest), axis=0) / 2
+    odd = jnp.sum(weight * symbol * _atanh_quotient(squared, rest), axis=0)
+    exponent = product * odd * odd
+    half = odd * _sinh_quotient(exponent / 4)
+    growth = even * _expm1_quotient(product * even)
+    same = growth * (1 + product * half * half / 2) + half * half / 2
+    return same, jnp.exp(product * even) * odd * _sinh_quotient(exponent)
+
+
+_SMALL = 0.1
+"""Arguments below which the quotients are summed as series, 16 terms for a double."""
+
+_TERMS = np.arange(16)[::-1]
+
+
+def _by_series(x: Array, coefficients: np.ndarray) -> Array:
+    return jnp.polyval(jnp.asarray(coefficients, x.dtype), jnp.minimum(x, _SMALL))
+
+
+def _log_quotient(x: Array, rest: Array) -> Array:
+    """-ln(1 - x) / x for x from 0 to 1, with 1 - x given."""
+    small = x < _SMALL
+    divisor = jnp.where(small, jnp.ones_like(x), x)
+    return jnp.where(small, _by_series(x, 1 / (1 + _TERMS)), -jnp.log(rest) / divisor)
+
+
+def _atanh_quotient(squared: Array, rest: Array) -> Array:
+    """atanh(y) / y from y², 0 to 1, and 1 - y²."""
+    small = squared < _SMALL
+    root = jnp.sqrt(jnp.where(small, jnp.ones_like(squared), squared))
+    return jnp.where(
+        small, _by_series(squared, 1 / (1 + 2 * _TERMS)), (jnp.log1p(root) - jnp.log(rest) / 2) / root
+    )
+
+
+def _sinh_quotient(squared: Array) -> Array:
+    """sinh(y) / y from y² ≥ 0."""
+    small = squared < _SMALL
+    root = jnp.sqrt(jnp.where(small, jnp.ones_like(squared), squared))
+    factorials = np.array([math.factorial(2 * n + 1) for n in _TERMS], float)
+    return jnp.where(small, _by_series(squared, 1 / factorials), jnp.sinh(root) / root)
+
+
+def _expm1_quotient(x: Array) -> Array:
+    """(exp(x) - 1) / x."""
+    return jnp.exp(x / 2) * _sinh_quotient(x * x / 4)
 
 
 def symbol_complement(angle: Float[Array, ""], resolution: Resolution) -> Complex[Array, " inner"]:

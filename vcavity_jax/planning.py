@@ -7,20 +7,27 @@ traces is treated in full generality.
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vcavity_jax import resolution
+from vcavity_jax import bihemispherical, resolution
 from vcavity_jax.lambertian import MeanResolution
+from vcavity_jax.quadrature import Clustering
+from vcavity_jax.resolution import AngleTableResolution, BihemisphericalResolution
 from vcavity_jax.scene import (
+    Annular,
+    Diffuse,
+    DiffuseWithTrap,
     Directional,
+    Hemisphere,
+    Material,
     Mixed,
     Polarization,
     Scene,
     Specular,
     VGrooves,
+    View,
     concrete,
 )
 from vcavity_jax.wiener_hopf import Resolution
@@ -32,13 +39,17 @@ ROUGHEST = 10.0
 """The roughness that the work is planned for when it is not known."""
 
 
+Sphere = BihemisphericalResolution | AngleTableResolution
+
+
 @dataclasses.dataclass(frozen=True)
 class Plan:
     """What a scene needs, fixed before it is traced.
 
     Args:
         darkest: the product of two panels' reflectances that may stand for zero.
-        open: every panel is known to be fully lit and fully seen.
+        lit: every panel is known to be fully lit.
+        seen: every panel is known to be fully seen.
         balanced: light or view is known to meet both panels alike, so that one parity is enough.
         symmetric: every view is known to lie in the plane along the grooves.
         model: treatment of polarization that is exact for what the user asked.
@@ -47,10 +58,14 @@ class Plan:
         order: nodes per panel of an average over groove angles.
         cutoff: its largest slope.
         most: orders of kinks that it resolves.
+        clustering: nodes of a ring or a disk of light.
+        averaging: nodes of an average over groove angles of diffusing panels.
+        sphere: nodes of the integral over all directions of a mirror, None if it is not needed.
     """
 
     darkest: float
-    open: bool
+    lit: bool
+    seen: bool
     balanced: bool
     symmetric: bool
     model: Polarization
@@ -59,22 +74,52 @@ class Plan:
     order: int
     cutoff: float
     most: int
+    clustering: Clustering
+    averaging: Clustering
+    sphere: Sphere | None
+
+    @property
+    def open(self) -> bool:
+        """Every panel is known to be fully lit and fully seen."""
+        return self.lit and self.seen
 
 
-def _known_directions(scene: Scene) -> list[tuple[np.ndarray, ...]] | None:
-    """Components of the view, then of the light if it is directional; None where one of them is traced."""
+Directions = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def _known_view(scene: Scene) -> Directions | None:
+    """Components of the views, none for a hemisphere (it is seen without masks); None if one is traced."""
+    if isinstance(scene.view, Hemisphere):
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    return _components(concrete(scene.view.polar), concrete(scene.view.azimuth))
+
+
+def _known_light(scene: Scene) -> Directions | None:
+    """The directions of the light that a groove hides first, none for diffuse light; None if one is traced."""
     light = scene.illumination.directional if isinstance(scene.illumination, Mixed) else scene.illumination
-    pairs = [(scene.view.polar, scene.view.azimuth)]
     if isinstance(light, Directional):
-        pairs.append((light.polar, light.azimuth))
-    known = []
-    for polar, azimuth in pairs:
-        theta, phi = concrete(polar), concrete(azimuth)
-        if theta is None or phi is None:
+        return _components(concrete(light.polar), concrete(light.azimuth))
+    if isinstance(light, Annular):
+        return _components(concrete(light.polar), np.zeros(()))
+    if isinstance(light, DiffuseWithTrap):
+        center = _components(concrete(light.polar), concrete(light.azimuth))
+        half_angle = concrete(light.half_angle)
+        if center is None or half_angle is None:
             return None
-        parts = np.sin(theta) * np.sin(phi), np.sin(theta) * np.cos(phi), np.cos(theta)
-        known.append(tuple(np.atleast_1d(part) for part in parts))
-    return known
+        _, across, normal = center
+        beside = np.hypot(across, normal)
+        reach = np.arcsin(np.minimum(np.sin(half_angle) / np.maximum(beside, 1e-30), 1))
+        ends = np.arctan2(across, normal) + np.append(-reach, reach)
+        return np.zeros(2), np.sin(ends), np.cos(ends)
+    return np.zeros(0), np.zeros(0), np.zeros(0)
+
+
+def _components(polar: np.ndarray | None, azimuth: np.ndarray | None) -> Directions | None:
+    if polar is None or azimuth is None:
+        return None
+    parts = np.sin(polar) * np.sin(azimuth), np.sin(polar) * np.cos(azimuth), np.cos(polar)
+    along, across, normal = (np.atleast_1d(part) for part in parts)
+    return along, across, normal
 
 
 def plan(scene: Scene, tolerance: float, smallest_angle: float | None = None) -> Plan:
@@ -86,49 +131,93 @@ def plan(scene: Scene, tolerance: float, smallest_angle: float | None = None) ->
         smallest_angle: of a groove angle that is traced, radians.
     """
     tolerance = resolution.check_tolerance(tolerance)
-    if isinstance(scene.material, Specular) and isinstance(scene.surface, VGrooves):
-        cutoff, order, most = 0.0, 0, 0  # An exact finite sum: it serves every tolerance and angle.
-        angle = None
-        tolerance = 0.1
-    elif isinstance(scene.surface, VGrooves):
-        cutoff, order, most = 0.0, 0, 0
+    cutoff, order, most = 0.0, resolution.panel_order(tolerance), 0
+    angle: float | None
+    roughest: float | None = None
+    if isinstance(scene.surface, VGrooves):
         value = concrete(scene.surface.angle)
         angle = smallest_angle if value is None else float(np.min(value))
     else:
-        cutoff, order = resolution.slope_cutoff(tolerance), resolution.panel_order(tolerance)
+        cutoff = resolution.slope_cutoff(tolerance)
         value = concrete(scene.surface.roughness)
-        rough = ROUGHEST if value is None else max(float(np.max(value)), 1e-3)
-        angle = 2 * float(np.arctan2(1, rough * cutoff))
-        # A coarse ladder of orders keeps the number of compiled programs small.
-        most = 2 ** int(np.ceil(np.log2(2 * np.pi / angle + 1)))
-    directions = _known_directions(scene)
-    in_fold_plane = [bool(np.all(np.abs(y) < 1e-15)) for _, y, _ in directions] if directions else [False]
-    fully, visible = all(in_fold_plane), None
-    if directions is not None and angle is not None:
-        if isinstance(scene.surface, VGrooves):
-            fully = fully or all(np.all(_hidden(angle, y, z) <= 0) for _, y, z in directions)
+        roughest = ROUGHEST if value is None else max(float(np.max(value)), 1e-3)
+        angle = 2 * float(np.arctan2(1, roughest * cutoff))
+    if isinstance(scene.material, Specular):
+        if isinstance(scene.surface, VGrooves) and isinstance(scene.view, View):
+            # An exact finite sum: it serves every tolerance and angle.
+            tolerance, angle, order = 0.1, None, 0
+        else:
+            # A coarse ladder of orders keeps the number of compiled programs small.
+            narrowest = resolution.NARROWEST if angle is None else angle
+            most = 2 ** int(np.ceil(np.log2(2 * np.pi / narrowest + 1)))
+    view, light = _known_view(scene), _known_light(scene)
+    single = isinstance(scene.surface, VGrooves)
+    lit, seen = (_fully_met(part, angle, single) for part in (light, view))
+    visible = None
+    if view is not None and light is not None and angle is not None:
         narrowest = resolution.planned_angle(angle)
-        seen = 1 - max(float(np.max(_hidden(narrowest, y, z), initial=0)) for _, y, z in directions)
+        hidden = max(float(np.max(_hidden(narrowest, y, z), initial=0)) for _, y, z in (view, light))
         # Two cases only: every one is compiled for itself. Beyond, the rim layer is treated in full.
-        visible = _CLEARLY_VISIBLE if seen >= _CLEARLY_VISIBLE else None
+        visible = _CLEARLY_VISIBLE if 1 - hidden >= _CLEARLY_VISIBLE else None
     model: Polarization = "full"
     if isinstance(scene.material, Specular):
         model = scene.material.polarization
-        across_only = directions is not None and bool(np.all(np.abs(directions[0][0]) < 1e-15))
+        across_only = view is not None and view[0].size > 0 and bool(np.all(np.abs(view[0]) < 1e-15))
         if model == "full" and across_only:
             model = "separate"  # Without a component along the fold nothing couples s and p.
+    even = isinstance(scene.illumination, Diffuse | Annular)
     return Plan(
         darkest=0.1 * tolerance,
-        open=fully,
-        balanced=any(in_fold_plane),
-        symmetric=in_fold_plane[0],
+        lit=lit,
+        seen=seen,
+        balanced=_in_fold_plane(view)
+        or (_in_fold_plane(light) and not even)
+        or isinstance(scene.illumination, Annular),
+        symmetric=_in_fold_plane(view),
         model=model,
         mean=resolution.mean_resolution(tolerance, angle),
         step=resolution.step_resolution(tolerance, angle, visible),
         order=order,
         cutoff=cutoff,
         most=most,
+        clustering=resolution.clustering(tolerance, visible),
+        averaging=resolution.average_clustering(tolerance),
+        sphere=_sphere(scene, tolerance, angle, roughest),
     )
+
+
+def _sphere(scene: Scene, tolerance: float, angle: float | None, roughest: float | None) -> Sphere | None:
+    """Nodes of a mirror that is lit and seen by the hemisphere."""
+    between = isinstance(scene.view, Hemisphere) and isinstance(scene.illumination, Diffuse)
+    if not isinstance(scene.material, Specular) or not between:
+        return None
+    if roughest is not None:
+        return table_resolution(scene.material, tolerance, roughest)
+    return resolution.bihemispherical_orders(tolerance, angle, _is_tame(scene.material))
+
+
+def table_resolution(material: Specular, tolerance: float, roughest: float) -> AngleTableResolution:
+    """Nodes of a mirror's reflectance as a function of the groove angle, for roughnesses up to the largest."""
+    return resolution.angle_table_resolution(tolerance, roughest, _is_tame(material))
+
+
+def _is_tame(material: Specular) -> bool:
+    index = concrete(material.index)
+    return index is not None and bool(np.all(bihemispherical.is_tame(index)))
+
+
+def _in_fold_plane(directions: Directions | None) -> bool:
+    return directions is not None and directions[1].size > 0 and bool(np.all(np.abs(directions[1]) < 1e-15))
+
+
+def _fully_met(directions: Directions | None, angle: float | None, single: bool) -> bool:
+    """Whether directions are known to meet both panels in full, whatever the other circumstances."""
+    if directions is None:
+        return False
+    _, across, normal = directions
+    if bool(np.all(np.abs(across) < 1e-15)):
+        return True
+    return single and angle is not None and bool(np.all(_hidden(angle, across, normal) <= 0))
 
 
 def _hidden(angle: float, across: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -137,12 +226,12 @@ def _hidden(angle: float, across: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return (facing - behind) / (facing + behind)
 
 
-def with_safe_index(scene: Scene) -> Scene:
+def with_safe_index(material: Material) -> Material:
     """A real index stays real only where it is known to be at least 1; below, refraction may be complex."""
-    if not isinstance(scene.material, Specular) or jnp.iscomplexobj(scene.material.index):
-        return scene
-    value = concrete(scene.material.index)
+    if not isinstance(material, Specular) or jnp.iscomplexobj(material.index):
+        return material
+    value = concrete(material.index)
     if value is not None and bool(np.all(value >= 1)):
-        return scene
-    index = scene.material.index
-    return eqx.tree_at(lambda s: s.material.index, scene, jax.lax.complex(index, jnp.zeros_like(index)))
+        return material
+    index = jax.lax.complex(material.index, jnp.zeros_like(material.index))
+    return Specular(index, material.polarization)

@@ -4,12 +4,14 @@ The rules bound the measured error of each sum from above, with a margin; tests/
 holds them to it. A parameter that JAX traces is unknown when the work is planned, so the worst case is taken.
 """
 
+import dataclasses
 import math
 
 import jax
 import numpy as np
 
 from vcavity_jax.lambertian import OSCILLATING, SHIFT, MeanResolution
+from vcavity_jax.quadrature import Clustering
 from vcavity_jax.wiener_hopf import Resolution
 
 NARROWEST = math.radians(0.1)
@@ -90,3 +92,108 @@ def panel_order(tolerance: float) -> int:
 def slope_cutoff(tolerance: float) -> float:
     """Where to cut the average over facet slopes: exp(-U²/2) of it is left out."""
     return math.sqrt(-2 * math.log(0.1 * tolerance))
+
+
+@dataclasses.dataclass(frozen=True)
+class BihemisphericalResolution:
+    """Sampling of ``bihemispherical.specular``.
+
+    Args:
+        across: nodes per panel in the cross-section.
+        along: nodes over the tilt along the fold.
+        critical: nodes per panel where total external reflection begins abruptly (n < 1, k small); 0 if it is
+            known not to occur.
+    """
+
+    across: int
+    along: int
+    critical: int
+
+
+def clustering(tolerance: float, visible: float | None) -> Clustering:
+    """Nodes of a ring or a disk of light for an absolute error.
+
+    Args:
+        tolerance: absolute error of the reflectance factor.
+        visible: the smallest lit or seen part of a panel, or None if unknown; near 0 all happens in a thin layer
+            of azimuths.
+    """
+    demand = -math.log(tolerance)
+    further = max(demand - 6.9, 0)
+    finer = 0.29 * further if visible is not None else 0.3 + 0.2 * further + 0.024 * further**2
+    return Clustering(step=1 / (2.5 + finer), reach=math.asinh((demand + 5.5) / math.pi))
+
+
+def average_clustering(tolerance: float) -> Clustering:
+    """Nodes between two onsets of shadow of an average over groove angles, for an absolute error."""
+    demand = -math.log(tolerance)
+    step = 1 / (4.4 + 0.35 * max(demand - 6.9, 0))
+    return Clustering(step, reach=math.asinh((demand + 5.5) / math.pi))
+
+
+def bihemispherical_orders(tolerance: float, angle: float | None, tame: bool) -> BihemisphericalResolution:
+    """Sampling of the bi-hemispherical reflectance of specular grooves for an absolute error.
+
+    Where total external reflection begins abruptly but not at once (n < 1, 0 < k < 0.01), the error stays at 1e-8.
+
+    Args:
+        tolerance: absolute error of the reflectance.
+        angle: the dihedral angle, radians, or None if unknown.
+        tame: every index is known to be free of abrupt total external reflection, as ``bihemispherical.is_tame``.
+    """
+    digits = -math.log10(tolerance)
+    degrees = 180.0 if angle is None else math.degrees(angle)
+    if degrees > 170:
+        across = 3 + 0.65 * digits + 0.175 * digits**2
+    else:
+        across = 2.5 + (0.215 if degrees > 60 else 0.14) * digits**2
+    along = 3 + 0.35 * digits + 0.2 * digits**2 + (3 if angle is None or degrees < 25 else 0)
+    critical = 0 if tame else min(math.ceil(4 + 0.36 * digits**2), 40)
+    return BihemisphericalResolution(math.ceil(across), math.ceil(along), critical)
+
+
+@dataclasses.dataclass(frozen=True)
+class AngleTableResolution:
+    """Sampling of ``bihemispherical_table``: the bi-hemispherical reflectance as a function of the groove angle.
+
+    Args:
+        digits: of the interpolation in the angle.
+        steepest: largest facet slope tan θ_h that the table covers.
+        cutoff: largest facet slope in units of the roughness that an average covers.
+        wide: sampling of the reflectance at 60 degrees and above.
+        narrow: the same below.
+    """
+
+    digits: float
+    steepest: float
+    cutoff: float
+    wide: BihemisphericalResolution
+    narrow: BihemisphericalResolution
+
+    def nodes(self, most: int) -> tuple[int, int]:
+        """Chebyshev nodes for angles between π/most and π/(most - 1), near the lower and the upper end.
+
+        Hard mirrors change fastest at the upper end, where another reflection sets in at grazing incidence.
+        """
+        fewer = 2 * int(math.log2(most / 8)) + 2 if most > 8 else 0
+        near = 4 * self.digits - 11 if most == 2 else 3 * self.digits - 9
+        return max(4, math.ceil(2 * self.digits - 2) - fewer), max(4, math.ceil(near) - fewer)
+
+
+def angle_table_resolution(tolerance: float, roughest: float, tame: bool) -> AngleTableResolution:
+    """Sampling of the bi-hemispherical reflectance of randomly grooved mirrors for an absolute error.
+
+    Args:
+        tolerance: absolute error of the reflectance.
+        roughest: the largest roughness m.
+        tame: as ``bihemispherical_orders``.
+    """
+    cutoff = slope_cutoff(tolerance)
+    return AngleTableResolution(
+        digits=-math.log10(tolerance),
+        # A coarse ladder keeps the number of compiled programs small.
+        steepest=2 ** math.ceil(math.log2(roughest)) * cutoff,
+        cutoff=cutoff,
+        wide=bihemispherical_orders(tolerance, None, tame),
+        narrow=bihemispherical_orders(tolerance, math.radians(20), tame),
+    )

@@ -1,22 +1,26 @@
-"""Averages over the dihedral angle of randomly grooved surfaces, Beckmann-distributed.
+"""Averages over the dihedral angle of randomly grooved surfaces.
 
-R_m = ∫ u exp(-u²/2) R(α(u)) du with α = 2 atan2(1, m u), u = tan θ_h / m [SaintPierre2020, eq. 4.45]. Panels
-end at the known kinks of R, and within a panel Gauss-Legendre converges spectrally.
+R_m = ∫ p(u) R(α(u)) du with α = 2 atan2(1, m u), u = tan θ_h / m, and p(u) = u exp(-u²/2) for Beckmann's slopes
+[SaintPierre2020, eq. 4.45] or √(2/π) exp(-u²/2) for those of a Gaussian profile. Panels end at the known kinks
+of R, and within a panel Gauss-Legendre converges spectrally.
 """
 
+import math
 from collections.abc import Callable
+from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Inexact
 
-from vcavity_jax.kinks import reflection_kinks
+from vcavity_jax.kinks import reflection_kinks, trap_kinks
+from vcavity_jax.quadrature import Clustering, clustered_nodes, sorted_panels, sum_over_panels
 from vcavity_jax.safe import elementwise_forward, floor_of
 from vcavity_jax.scene import Polarization
-from vcavity_jax.specular import hemispherical_directional
+from vcavity_jax.specular import Trap, hemispherical_directional
 
-_PANELS_AT_ONCE = 8
+Slopes = Literal["beckmann", "gaussian"]
 
 _WIDE_PANELS = 16
 """How many panels, those of the widest grooves, get the full order; the many narrow ones need 0.6 of it."""
@@ -27,32 +31,14 @@ def slope_of_angle(angle: Float[Array, "..."], roughness: Float[Array, "..."]) -
     return 1 / (jnp.tan(angle / 2) * jnp.maximum(roughness, floor_of(roughness)))
 
 
-def density(u: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Density of the facet slopes, u exp(-u²/2)."""
-    return u * jnp.exp(-u * u / 2)
+def density(u: Float[Array, "..."], slopes: Slopes = "beckmann") -> Float[Array, "..."]:
+    """Density of the facet slopes: u exp(-u²/2), or √(2/π) exp(-u²/2) for those of a Gaussian profile."""
+    return (u if slopes == "beckmann" else math.sqrt(2 / math.pi)) * jnp.exp(-u * u / 2)
 
 
-def legendre_nodes(
-    start: Float[Array, "..."], end: Float[Array, "..."], order: int
-) -> tuple[Float[Array, "... nodes"], Float[Array, "... nodes"]]:
-    """Gauss-Legendre nodes and weights of panels."""
-    x, weight = np.polynomial.legendre.leggauss(order)
-    half = (end - start)[..., None] / 2
-    nodes = (start + end)[..., None] / 2 + half * jnp.asarray(x, start.dtype)
-    return nodes, half * jnp.asarray(weight, start.dtype)
-
-
-def panel_nodes(
-    start: Float[Array, "..."], end: Float[Array, "..."], order: int
-) -> tuple[Float[Array, "... nodes"], Float[Array, "... nodes"]]:
-    """Nodes of panels in u, and their weights times the density."""
-    u, weight = legendre_nodes(start, end, order)
-    return u, weight * density(u)
-
-
-def tail_weight(cutoff: float) -> float:
-    """Share of the facets that are steeper than the cutoff, exp(-U²/2)."""
-    return float(np.exp(-cutoff * cutoff / 2))
+def tail_weight(cutoff: float, slopes: Slopes = "beckmann") -> float:
+    """Share of the facets that are steeper than the cutoff: exp(-U²/2), or erfc(U/√2) for a Gaussian profile."""
+    return math.exp(-cutoff * cutoff / 2) if slopes == "beckmann" else math.erfc(cutoff / math.sqrt(2))
 
 
 def groove_angle(roughness: Float[Array, "..."], u: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -71,6 +57,8 @@ def specular_average(
     order: int,
     cutoff: float,
     most: int,
+    slopes: Slopes = "beckmann",
+    trap: Trap | None = None,
 ) -> Float[Array, "..."]:
     """Hemispherical-directional reflectance of randomly grooved mirrors; arguments broadcast.
 
@@ -85,105 +73,98 @@ def specular_average(
         order: nodes per panel.
         cutoff: largest u.
         most: orders of kinks to resolve; π/most should be below the narrowest groove at the cutoff.
+        slopes: which distribution.
+        trap: a part of the hemisphere from which no light comes.
     """
 
-    def average(roughness: Array, along: Array, across: Array, normal: Array, *index_parts: Array) -> Array:
+    def average(roughness: Array, along: Array, across: Array, normal: Array, *others: Array) -> Array:
+        dark = None if trap is None else Trap(*others[-4:])
+        index_parts = others if trap is None else others[:-4]
         index = index_parts[0] if len(index_parts) == 1 else lax.complex(*index_parts)
-        shape = jnp.broadcast_shapes(*(jnp.shape(a) for a in (roughness, along, across, normal, index)))
-        # The integrand is continuous, so moving panel ends add nothing to the derivative.
-        m, y, z = (lax.stop_gradient(a) for a in (roughness, across, normal))
+        shape = jnp.broadcast_shapes(*(jnp.shape(a) for a in (roughness, along, across, normal, *others)))
+        m, x, y, z = roughness, along, across, normal
+        if dark is None:
+            # The integrand is continuous, so moving panel ends add nothing to the derivative.
+            m, y, z = (lax.stop_gradient(a) for a in (roughness, across, normal))
         section = jnp.arctan2(y, jnp.where((y == 0) & (z == 0), jnp.ones_like(z), z))
         kinks = reflection_kinks(section, most, symmetric)
+        if dark is not None:
+            edges = trap_kinks(x, y, z, dark, most)
+            both = jnp.broadcast_shapes(kinks.shape[:-1], edges.shape[:-1])
+            kinks = jnp.concatenate([jnp.broadcast_to(k, (*both, k.shape[-1])) for k in (kinks, edges)], axis=-1)
         inside = (kinks > 0) & (kinks < jnp.pi)
-        ends = jnp.where(
-            inside, slope_of_angle(jnp.where(inside, kinks, jnp.ones_like(kinks)), m[..., None]), cutoff
-        )
-        whole = jnp.arange(int(np.ceil(cutoff)) + 1, dtype=ends.dtype)
-        regular = jnp.broadcast_to(whole, (*ends.shape[:-1], len(whole)))
-        ends = jnp.sort(jnp.clip(jnp.concatenate([ends, regular], axis=-1), 0, cutoff), axis=-1)
-        padding = jnp.full((*ends.shape[:-1], -(ends.shape[-1] - 1) % _PANELS_AT_ONCE), cutoff, ends.dtype)
-        ends = jnp.concatenate([ends, padding], axis=-1)
-        panels = ends.shape[-1] - 1
+        # A flat groove (α = π) stands for no kink.
+        slope = slope_of_angle(jnp.where(inside, kinks, jnp.ones_like(kinks)), m[..., None])
+        slope = jnp.where(inside, slope, jnp.full_like(slope, cutoff))
+        whole = jnp.arange(1, int(np.ceil(cutoff)), dtype=slope.dtype)
+        regular = jnp.broadcast_to(whole, (*slope.shape[:-1], len(whole)))
+        ends = sorted_panels(jnp.concatenate([slope, regular], axis=-1), 0.0, cutoff)
 
-        def add_panels(first: int, last: int, nodes: int, total: Array) -> Array:
-            def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-                start, total = carry
-                chunk = lax.dynamic_slice_in_dim(ends, start, _PANELS_AT_ONCE + 1, axis=-1)
-                u, weight = panel_nodes(chunk[..., :-1], chunk[..., 1:], nodes)
-                u, weight = (jnp.reshape(a, (*a.shape[:-2], -1)) for a in (u, weight))
-                value = hemispherical_directional(
-                    groove_angle(roughness[..., None], u),
-                    along[..., None],
-                    across[..., None],
-                    normal[..., None],
-                    index[..., None],
-                    model,
-                    symmetric,
-                )
-                return start + _PANELS_AT_ONCE, total + jnp.sum(weight * value, axis=-1)
-
-            def unfinished(carry: tuple[Array, Array]) -> Array:
-                start = carry[0]
-                end = lax.dynamic_index_in_dim(ends, jnp.minimum(start, panels), axis=-1, keepdims=False)
-                return (start < last) & (jnp.min(end, initial=cutoff) < cutoff)
-
-            return lax.while_loop(unfinished, body, (jnp.asarray(first), total))[1]
+        def integrand(u: Array) -> Array:
+            value = hemispherical_directional(
+                groove_angle(roughness[..., None], u),
+                along[..., None],
+                across[..., None],
+                normal[..., None],
+                index[..., None],
+                model,
+                symmetric,
+                None if dark is None else Trap(*(part[..., None] for part in dark)),
+            )
+            return density(u, slopes) * value
 
         # What the cutoff leaves out counts as its end: so the weights sum to 1.
         end = groove_angle(roughness, jnp.asarray(cutoff, roughness.dtype))
-        tail = tail_weight(cutoff) * hemispherical_directional(end, along, across, normal, index, model, symmetric)
-        wide = min(_WIDE_PANELS, panels)
-        total = add_panels(0, wide, order, jnp.broadcast_to(tail, shape))
-        return add_panels(wide, panels, max(3, int(np.ceil(0.6 * order))), total)
+        tail = tail_weight(cutoff, slopes) * hemispherical_directional(
+            end, along, across, normal, index, model, symmetric, dark
+        )
+        wide = _WIDE_PANELS if dark is None else 3 * _WIDE_PANELS
+        coarse = max(3, int(np.ceil(0.6 * order)))
+        return jnp.broadcast_to(tail, shape) + sum_over_panels(integrand, ends, coarse, order, wide)
 
     parts = (index.real, index.imag) if jnp.iscomplexobj(index) else (index,)
-    return elementwise_forward(average, nested=True)(roughness, along, across, normal, *parts)
+    return elementwise_forward(average, nested=True)(roughness, along, across, normal, *parts, *(trap or ()))
 
 
 def lambertian_average(
     roughness: Float[Array, ""],
-    section: Float[Array, ""],
-    fully_seen: Callable[[Float[Array, ""]], Float[Array, " wavelengths"]],
-    masked: Callable[[Float[Array, ""]], Float[Array, " wavelengths"]] | None,
-    order: int,
+    sections: Float[Array, " onsets"],
+    fully_open: Callable[[Float[Array, ""]], Float[Array, " wavelengths"]],
+    general: Callable[[Float[Array, ""]], Float[Array, " wavelengths"]] | None,
+    clustering: Clustering,
     cutoff: float,
+    slopes: Slopes = "beckmann",
+    batch: int = 16,
 ) -> Float[Array, " wavelengths"]:
-    """Average over groove angles of a function that is smooth but for the onset of masking at α = 2|θ'|.
+    """Average over groove angles of a function that is smooth but for shadows and masks that set in.
 
     Args:
         roughness: m.
-        section: θ' of the view, radians.
-        fully_seen: of the angle, valid for α ≥ 2|θ'|.
-        masked: of the angle, valid for all α; None where masking is known not to occur.
-        order: nodes per panel.
+        sections: |θ'| at which a shadow or a mask sets in or is complete, at α = 2|θ'|, radians; any order. See
+            ``illumination.shadow_sections``.
+        fully_open: of the angle, valid for α ≥ 2|θ'| of all of them.
+        general: of the angle, valid for all α; None where shadows and masks are known not to occur.
+        clustering: see ``resolution.average_clustering``.
         cutoff: largest u.
+        slopes: whose density.
+        batch: angles at which ``general`` is evaluated together.
     """
     m = lax.stop_gradient(roughness)
-    floor = jnp.maximum(m, floor_of(m))
-    # α turns from π to 0 around u = 1/m, the density around u = 1: panels for both, whatever their order.
-    marks = jnp.asarray([0.25, 1.0, 4.0, 16.0, 64.0], m.dtype) / floor
-    whole = jnp.asarray([0.0, 1.0, 2.2, 3.5, 5.0, cutoff], m.dtype)
-    marks = jnp.sort(jnp.clip(jnp.concatenate([marks, whole]), 0, cutoff))
-    if masked is None:
-        onset = jnp.asarray(cutoff, m.dtype)
-    else:
-        slope = jnp.tan(jnp.abs(lax.stop_gradient(section))) * floor
-        onset = jnp.minimum(1 / jnp.maximum(slope, floor_of(slope)), cutoff)
-    last = fully_seen if masked is None else masked
-    total = tail_weight(cutoff) * last(groove_angle(roughness, jnp.asarray(cutoff, m.dtype)))
+    last = jnp.asarray(cutoff, m.dtype)
+    tail = groove_angle(roughness, last)
+    total = tail_weight(cutoff, slopes) * (fully_open if general is None else general)(tail)
 
-    def add(total: Array, u: Array, weight: Array, function: Callable[..., Array], batch: int) -> Array:
-        values = lax.map(function, groove_angle(roughness, jnp.ravel(u)), batch_size=batch)
-        return total + jnp.ravel(weight) @ values
+    def add(total: Array, start: Array, end: Array, function: Callable[..., Array], batch: int | None) -> Array:
+        u, weight = clustered_nodes(start, end, clustering)
+        u, weight = jnp.ravel(u), jnp.ravel(weight * density(u, slopes))
+        values = lax.map(function, groove_angle(roughness, u), batch_size=batch or u.size)
+        return total + weight @ values
 
-    ends = jnp.minimum(marks, onset)
-    u, weight = panel_nodes(ends[:-1], ends[1:], order)
-    total = add(total, u, weight, fully_seen, u.size)
-    if masked is None:
-        return total
-    # A mask sets in with a fractional power of its depth: in v, with u = onset + span v⁴, it is smooth.
-    span = jnp.maximum(cutoff - onset, floor_of(onset))
-    ends = (jnp.clip(marks - onset, 0, span) / span) ** 0.25
-    v, weight = legendre_nodes(ends[:-1], ends[1:], order)
-    u = onset + span * v**4
-    return add(total, u, weight * 4 * span * v**3 * density(u), masked, order)
+    if general is None:
+        return add(total, jnp.zeros_like(last), last, fully_open, None)
+    # The integrand is continuous, so moving its ends adds nothing to the derivative.
+    slope = jnp.abs(jnp.tan(lax.stop_gradient(sections))) * jnp.maximum(m, floor_of(m))
+    onsets = jnp.sort(jnp.minimum(1 / jnp.maximum(slope, floor_of(slope)), last))
+    total = add(total, jnp.zeros_like(last), onsets[0], fully_open, None)
+    # Both sides of an onset are singular, with fractional powers: nodes cluster at both ends.
+    return add(total, onsets, jnp.append(onsets[1:], last), general, batch)

@@ -6,7 +6,7 @@ the polarization follows r_s I + κ q qᵀ at each reflection, q being the trans
 Nothing is sampled. docs/specular.md derives it.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
@@ -18,6 +18,15 @@ from vcavity_jax.safe import elementwise_forward, safe_divide, safe_hypot
 from vcavity_jax.scene import Polarization
 
 Jones = tuple[Inexact[Array, "..."], ...]
+
+
+class Trap(NamedTuple):
+    """A dark disk of the hemisphere: components of its center, and its half-angle in radians."""
+
+    along: Float[Array, "..."]
+    across: Float[Array, "..."]
+    normal: Float[Array, "..."]
+    half_angle: Float[Array, "..."]
 
 
 def reflection_shares(
@@ -122,6 +131,23 @@ def _all_but_last(model: Polarization) -> Any:
     return elementwise_forward(run)
 
 
+def _lit(
+    count: Array, angle: Array, along: Array, across: Array, normal: Array, trap: Trap
+) -> Float[Array, "..."]:
+    """1 for paths of a number of reflections that lead to the sky, 0 for those that lead into the trap.
+
+    All of them leave along one direction: (-e_x, ±(e_y cos mα + e_z sin mα), e_y sin mα - e_z cos mα), with the
+    plus sign for odd m.
+    """
+    sine, cosine = jnp.sin(count * angle), jnp.cos(count * angle)
+    sign = 2 * jnp.mod(count, 2) - 1
+    exit_across = sign * (across * cosine + normal * sine)
+    exit_normal = across * sine - normal * cosine
+    squared = (along + trap.along) ** 2 + (exit_across - trap.across) ** 2 + (exit_normal - trap.normal) ** 2
+    inside = squared < 4 * jnp.sin(trap.half_angle / 2) ** 2
+    return lax.stop_gradient(jnp.where(inside, jnp.zeros_like(squared), jnp.ones_like(squared)))
+
+
 def _side(
     model: Polarization,
     angle: Array,
@@ -129,9 +155,13 @@ def _side(
     across: Array,
     normal: Array,
     contrast: Array,
+    trap: Trap | None,
 ) -> Float[Array, "..."]:
     """What the paths that first meet one panel contribute; e_y counts from that panel's side."""
     count, share, share_fewer = reflection_shares(angle, across, normal)
+    if trap is not None:
+        share = share * _lit(count, angle, along, across, normal, trap)
+        share_fewer = share_fewer * _lit(count - 1, angle, along, across, normal, trap)
     geometry = (angle, along, across, normal)
     # Reflectances are no holomorphic function of the index, amplitudes are: only the latter stay complex.
     split = model == "unpolarized" and jnp.iscomplexobj(contrast)
@@ -156,6 +186,7 @@ def hemispherical_directional(
     index: Inexact[Array, "..."],
     model: Polarization = "full",
     symmetric: bool = False,
+    trap: Trap | None = None,
 ) -> Float[Array, "..."]:
     """Hemispherical-directional reflectance, for arguments that broadcast against each other.
 
@@ -166,15 +197,19 @@ def hemispherical_directional(
         normal: e_z, ≥ 0.
         index: n + ik; real only if n ≥ 1.
         model: treatment of polarization, see ``Specular``.
-        symmetric: e_y is known to be 0 everywhere, so that one side stands for both.
+        symmetric: e_y is known to be 0 everywhere, so that one side stands for both. Not with a trap.
+        trap: a part of the hemisphere from which no light comes.
 
     Returns:
-        Fraction, of the broadcast shape. It is continuous everywhere; its gradient jumps where a number of
-        reflections changes, and there the gradient of one side is returned.
+        Fraction, of the broadcast shape. Without a trap it is continuous everywhere; its gradient jumps where
+        a number of reflections changes, and there the gradient of one side is returned. With a trap it jumps
+        itself where a path turns into the trap.
     """
     contrast = permittivity_contrast(index)
-    if symmetric:
-        return 2 * _side(model, angle, along, across, normal, contrast)
-    rank = max(jnp.ndim(argument) for argument in (angle, along, across, normal, contrast))
+    if symmetric and trap is None:
+        return 2 * _side(model, angle, along, across, normal, contrast, None)
+    rank = max(jnp.ndim(argument) for argument in (angle, along, across, normal, contrast, *(trap or ())))
     sides = jnp.reshape(jnp.asarray([1.0, -1.0], across.dtype), (2, *(1,) * rank))
-    return jnp.sum(_side(model, angle, along, sides * across, normal, contrast), axis=0)
+    if trap is not None:
+        trap = trap._replace(across=sides * trap.across)
+    return jnp.sum(_side(model, angle, along, sides * across, normal, contrast, trap), axis=0)

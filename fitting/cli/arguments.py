@@ -11,8 +11,12 @@ import re
 from collections.abc import Callable
 from typing import Any, NoReturn
 
+from fitting.readers.geometry import GEOMETRIES, LIGHTS, WIDEST_TRAP_DEG
+
 PARAMETERS = ("angle", "roughness", "gain", "offset")
-OWN_PARAMETER = {"v-grooves": "angle", "beckmann": "roughness"}
+# As in `vcavity_jax.colorimetry`, which a test compares; importing that takes half a second.
+ILLUMINANTS = ("A", "C", "D50", "D55", "D65", "D75", "E", "FL2", "FL7", "FL11")
+OWN_PARAMETER = {"v-grooves": "angle", "beckmann": "roughness", "gaussian": "roughness"}
 
 _DESCRIPTION = """\
 Appearance of V-grooved surfaces: from a measured spectrum to the groove's angle or the roughness, and back.
@@ -30,6 +34,11 @@ _PREDICT_EPILOG = """\
 example:
   vcavity predict --angle 45deg --material specular --index Au-Johnson --wavelengths 400:700:10 \\
                   --polar=-60,-30,0,30,60 --output gold.csv"""
+
+
+_MAP_EPILOG = """\
+example:
+  vcavity map --angle 45deg --material specular --index Au-Johnson --output gold"""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -76,6 +85,15 @@ def parser() -> argparse.ArgumentParser:
         epilog=_PREDICT_EPILOG,
     )
     _add_predict_options(predict)
+
+    chart = commands.add_parser(
+        "map",
+        help="the color of a surface in every direction of view",
+        description="Compute the reflectance factor in all directions of view (Lambert azimuthal equal-area map), "
+        "draw it and write the data.",
+        epilog=_MAP_EPILOG,
+    )
+    _add_map_options(chart)
 
     materials = commands.add_parser(
         "materials",
@@ -148,26 +166,90 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
 def _add_predict_options(predict: argparse.ArgumentParser) -> None:
     _add_scene_options(predict)
     predict.add_argument("--angle", type=angle, metavar="DEG", help="dihedral angle of v-grooves: 45deg")
-    predict.add_argument("--roughness", type=roughness, metavar="M", help="Beckmann roughness m")
+    predict.add_argument("--roughness", type=roughness, metavar="M", help="roughness m of random grooves")
     predict.add_argument("--wavelengths", type=grid, required=True, metavar="NM", help="400:700:10 or 450,550,650")
-    predict.add_argument(
-        "--polar", type=polar_angles, default=[0.0], metavar="DEG", help="view angles: 0,30,60 (default: 0)"
-    )
-    predict.add_argument(
+    seen = predict.add_argument_group("light and view")
+    seen.add_argument("--polar", type=polar_angles, metavar="DEG", help="view angles: 0,30,60 (default: 0)")
+    seen.add_argument(
         "--azimuth",
         type=azimuths,
-        default=[0.0],
         metavar="DEG",
         help="view azimuths, each with each view angle: 0 across the grooves, 90 along them (default: 0)",
     )
-    predict.add_argument(
+    seen.add_argument(
         "--illumination",
         type=illumination,
         metavar="LIGHT",
-        help="diffuse (default) or directional:POLAR,AZIMUTH in degrees",
+        help="diffuse (default), directional:POLAR,AZIMUTH or annular:POLAR in degrees",
+    )
+    seen.add_argument(
+        "--geometry",
+        choices=GEOMETRIES,
+        help="light and view of an instrument by their name, instead of the options above",
+    )
+    seen.add_argument(
+        "--geometry-azimuth",
+        type=azimuth,
+        metavar="DEG",
+        help="of the direction of a geometry that is not the normal: 0 across the grooves (default), 90 along",
+    )
+    seen.add_argument(
+        "--trap", type=half_angle, metavar="DEG", help="half-angle of the gloss trap of de:8 (default: 6)"
     )
     predict.add_argument("--output", metavar="FILE", help="write here instead of to standard output")
     _add_tolerance(predict)
+
+
+def _add_map_options(chart: argparse.ArgumentParser) -> None:
+    _add_scene_options(chart)
+    chart.add_argument("--angle", type=angle, metavar="DEG", help="dihedral angle of v-grooves: 45deg")
+    chart.add_argument("--roughness", type=roughness, metavar="M", help="roughness m of random grooves")
+    chart.add_argument(
+        "--wavelengths",
+        type=grid,
+        default="380:730:10",
+        metavar="NM",
+        help="equally spaced (default: %(default)s)",
+    )
+    chart.add_argument(
+        "--illumination",
+        type=illumination,
+        metavar="LIGHT",
+        help="diffuse (default), directional:POLAR,AZIMUTH or annular:POLAR in degrees",
+    )
+    chart.add_argument(
+        "--size",
+        type=pixels,
+        default=256,
+        metavar="PIXELS",
+        help="along the edge of the map (default: %(default)s)",
+    )
+    color = chart.add_argument_group("the color")
+    color.add_argument(
+        "--illuminant",
+        choices=ILLUMINANTS,
+        default="D65",
+        metavar="NAME",
+        help=f"the CIE's: {', '.join(ILLUMINANTS)} (default: %(default)s)",
+    )
+    color.add_argument(
+        "--observer",
+        choices=("1931", "1964"),
+        default="1931",
+        help="the CIE's of 1931 (2°, default) or 1964 (10°)",
+    )
+    color.add_argument("--partial", action="store_true", help="accept wavelengths that do not cover 400 to 700 nm")
+    output = chart.add_argument_group("output")
+    output.add_argument(
+        "--output",
+        default="map",
+        metavar="BASE",
+        help="write BASE.png and the data, BASE.npz or BASE.nc (default: %(default)s)",
+    )
+    output.add_argument(
+        "--format", choices=("npz", "netcdf"), default="npz", help="of the data: NumPy (default) or NetCDF 3"
+    )
+    _add_tolerance(chart, 1e-6)
 
 
 def _add_scene_options(command: argparse.ArgumentParser) -> None:
@@ -176,7 +258,7 @@ def _add_scene_options(command: argparse.ArgumentParser) -> None:
         "--surface",
         choices=tuple(OWN_PARAMETER),
         default="v-grooves",
-        help="grooves of one angle (default), or of random angles with Beckmann slopes",
+        help="grooves of one angle (default), or of random angles with Beckmann or Gaussian slopes",
     )
     scene.add_argument("--material", choices=("specular", "lambertian"), required=True)
     scene.add_argument(
@@ -204,11 +286,11 @@ def _add_scene_options(command: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_tolerance(command: argparse.ArgumentParser) -> None:
+def _add_tolerance(command: argparse.ArgumentParser, default: float = 1e-8) -> None:
     command.add_argument(
         "--tolerance",
         type=positive,
-        default=1e-8,
+        default=default,
         metavar="ERROR",
         help="absolute error of the computed reflectance factor, at most (default: %(default)g)",
     )
@@ -229,10 +311,16 @@ def positive(text: str) -> float:
     return _require(value, 0 < value <= 1, text, "a number above 0 and at most 1")
 
 
-def roughness(text: str) -> float:
-    """A Beckmann roughness m."""
+def pixels(text: str) -> int:
+    """A number of pixels."""
     value = finite(text)
-    return _require(value, value >= 0, text, "a roughness m of 0 or more, without unit")
+    return int(_require(value, value % 1 == 0 and 1 <= value <= 4096, text, "a whole number from 1 to 4096"))
+
+
+def roughness(text: str) -> float:
+    """A roughness m of random grooves."""
+    value = finite(text)
+    return _require(value, value > 0, text, "a roughness m above 0, without unit")
 
 
 def angle(text: str) -> float:
@@ -310,16 +398,32 @@ def _directions(text: str, limit: float, expected: str) -> list[float]:
     return values
 
 
-def illumination(text: str) -> tuple[float, float] | None:
-    """The direction of the light as (polar, azimuth) in degrees; None is diffuse light."""
-    if text == "diffuse":
-        return None
-    kind, _, direction = text.partition(":")
-    expected = "diffuse, or directional:POLAR,AZIMUTH in degrees such as directional:45,0"
-    _require(0.0, kind == "directional" and direction.count(",") == 1, text, expected)
-    polar, azimuth = (finite(part) + 0.0 for part in direction.split(","))
-    _require(0.0, abs(polar) <= 90 and abs(azimuth) <= 360, text, expected)
-    return polar, azimuth
+def azimuth(text: str) -> float:
+    """One azimuth in degrees."""
+    value = finite(text)
+    return _require(value, abs(value) <= 360, text, "an azimuth from -360 to 360 degrees such as 90")
+
+
+def half_angle(text: str) -> float:
+    """Half-angle of a gloss trap in degrees."""
+    value = finite(text)
+    expected = f"a half-angle from 0 to less than {WIDEST_TRAP_DEG:g} degrees"
+    return _require(value, 0 <= value < WIDEST_TRAP_DEG, text, expected)
+
+
+def illumination(text: str) -> tuple[Any, ...]:
+    """The kind of a light and its angles in degrees, say ("directional", 45.0, 0.0) or ("diffuse",).
+
+    `fitting.cli.scenes.light` makes a light of it.
+    """
+    expected = "diffuse, directional:POLAR,AZIMUTH or annular:POLAR in degrees, such as directional:45,0"
+    kind, colon, rest = text.partition(":")
+    angles = [finite(part) + 0.0 for part in rest.split(",")] if colon else []
+    limits = [*LIGHTS.get(kind, {}).values()]
+    _require(0.0, kind in LIGHTS and len(angles) == len(limits), text, expected)
+    good = all(low <= value <= high for value, (low, high) in zip(angles, limits, strict=True))
+    _require(0.0, good, text, expected)
+    return kind, *angles
 
 
 def _require(value: float, good: bool, text: str, expected: str) -> float:
@@ -337,6 +441,7 @@ def in_options(message: str) -> str:
     """A message of the library in the words of the command line."""
     message = message.replace("expected column= one of", "expected --column with one of")
     message = message.replace("expected standard_uncertainty=", "expected --uncertainty")
+    message = message.replace("or partial=True for", "or --partial for")
     message = message.replace("say free.angle()", "say --free angle")
     message = message.replace("vcavity_jax.materials.names() lists", "'vcavity materials' lists")
     return re.sub(r"expected reflectance_unit='(\w+)'", r"expected --reflectance-unit \1", message)

@@ -6,8 +6,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
-
 import vcavity_jax as vc
 from fitting import Measurement, fit, free
 from fitting.cli import arguments, scenes
@@ -27,7 +25,7 @@ def run(given: argparse.Namespace) -> int:
         surface=scenes.surface(given.surface, held),
         material=scenes.material(given, measurement.wavelengths_nm),
         illumination=measurement.illumination,
-        view=vc.View(jnp.asarray(measurement.polar), jnp.asarray(measurement.azimuth)),
+        view=measurement.view,
     )
     source = Path(given.measurement)
     folder = source.with_name(f"{source.stem}-fit") if given.output is None else Path(given.output)

@@ -1,34 +1,34 @@
 """`vcavity predict`: the reflectance factor of a surface, as a measurement file."""
 
 import argparse
+from typing import Any
 
 import numpy as np
 
 import vcavity_jax as vc
 from fitting import files
 from fitting.cli import arguments, scenes
+from fitting.readers import geometry
 
 
 def run(given: argparse.Namespace) -> int:
     """Print the measurement file, or write it."""
-    values = {"angle": given.angle, "roughness": given.roughness}
-    own = arguments.OWN_PARAMETER[given.surface]
-    scenes.require_surface_options(given, {f"--{name}": value for name, value in values.items()})
-    if values[own] is None:
-        example = {"angle": "45deg", "roughness": "0.5"}[own]
-        raise ValueError(f"--surface {given.surface} needs --{own}: expected e.g. --{own} {example}")
+    surface = scenes.known_surface(given)
     wavelengths = np.array(given.wavelengths)
-    directions = [(polar, azimuth) for azimuth in given.azimuth for polar in given.polar]
-    polar, azimuth = np.deg2rad(np.array(directions)).T
-    light = vc.Diffuse() if given.illumination is None else vc.Directional(*np.deg2rad(given.illumination))
+    directions = _directions(given)
+    if given.geometry is None:
+        polar, azimuth = np.deg2rad(np.array(directions)).T
+        seen = geometry.Geometry(scenes.light(given.illumination), vc.View(polar, azimuth))
+    else:
+        seen = geometry.named(given.geometry, given.geometry_azimuth or 0.0, given.trap)
     scene = vc.Scene(
-        surface=scenes.surface(given.surface, {own: values[own]}),
+        surface=surface,
         material=scenes.material(given, wavelengths),
-        illumination=light,
-        view=vc.View(polar, azimuth),
+        illumination=seen.illumination,
+        view=seen.view,
     )
     factor = np.asarray(vc.reflectance_factor(scene, tolerance=given.tolerance))
-    text = "\n".join([*_head(given), *_rows(directions, given.wavelengths, factor)]) + "\n"
+    text = "\n".join([*_head(given, seen.illumination), *_rows(directions, given.wavelengths, factor)]) + "\n"
     if given.output is None:
         print(text, end="")
     else:
@@ -36,27 +36,63 @@ def run(given: argparse.Namespace) -> int:
     return 0
 
 
-def _head(given: argparse.Namespace) -> list[str]:
-    """The metadata: what was computed, in the words of the command line."""
-    own = arguments.OWN_PARAMETER[given.surface]
-    value = f"{np.rad2deg(given.angle):.10g} deg" if own == "angle" else files.number(given.roughness)
-    choice = "index" if given.material == "specular" else "reflectance"
-    light = "diffuse"
-    if given.illumination is not None:
-        light = "directional, polar_deg={}, azimuth_deg={}".format(*map(files.number, given.illumination))
-    what = f"{given.surface}, {own} {value}, {given.material}, {choice} {getattr(given, choice)}"
+_OF_GEOMETRIES = {"geometry_azimuth": geometry.TURNED, "trap": geometry.TRAPPED}
+
+
+def _directions(given: argparse.Namespace) -> list[tuple[float, float]]:
+    """Polar angle and azimuth of each view in degrees; none if a geometry names the view."""
+    for name, geometries in _OF_GEOMETRIES.items():
+        if getattr(given, name) is not None and given.geometry not in geometries:
+            without = "without --geometry" if given.geometry is None else f"in --geometry {given.geometry}"
+            raise ValueError(
+                f"--{name.replace('_', '-')} has no effect {without}: expected --geometry "
+                f"{' or '.join(geometries)} with it"
+            )
+    if given.geometry is None:
+        azimuths, polars = given.azimuth or [0.0], given.polar or [0.0]
+        return [(polar, azimuth) for azimuth in azimuths for polar in polars]
+    for name in ("polar", "azimuth", "illumination"):
+        if getattr(given, name) is not None:
+            turned = name == "azimuth" and given.geometry in geometry.TURNED
+            raise ValueError(
+                f"--{name} beside --geometry {given.geometry}, which sets light and view: expected one of them"
+                + " (did you mean --geometry-azimuth?)" * turned
+            )
+    return []
+
+
+def _head(given: argparse.Namespace, light: Any) -> list[str]:
+    """The metadata, what was computed in the words of the command line, and the names of the columns."""
+    what = scenes.described(given)
+    columns = "wavelength_nm,polar_deg,azimuth_deg,reflectance_factor"
+    if given.geometry is None:
+        kind, *angles = given.illumination or ("diffuse",)
+        named = zip(geometry.LIGHTS[kind], map(files.number, angles), strict=True)
+        seen = [f"illumination: {', '.join([kind, *map('='.join, named)])}"]
+    else:
+        columns = "wavelength_nm,reflectance_factor"
+        seen = [f"geometry: {given.geometry}"]
+        if given.geometry in geometry.TURNED:
+            seen.append(f"geometry_azimuth_deg: {files.number(given.geometry_azimuth or 0.0)}")
+        if given.geometry in geometry.TRAPPED:
+            # Also the usual one, so that the file keeps its meaning; without what radians add to its digits.
+            usual = round(float(np.rad2deg(light.half_angle)), 9)
+            seen.append(f"trap_half_angle_deg: {files.number(usual if given.trap is None else given.trap)}")
     return [
         f"# title: {arguments.one_line(what)}",
         "# instrument: computed by vcavity predict, not measured",
-        f"# illumination: {light}",
+        *(f"# {line}" for line in seen),
         "# reflectance_unit: fraction",
-        "wavelength_nm,polar_deg,azimuth_deg,reflectance_factor",
+        columns,
     ]
 
 
 def _rows(directions: list[tuple[float, float]], wavelengths: list[float], factor: np.ndarray) -> list[str]:
+    """One line for each value; without directions there is one spectrum."""
+    table = factor.reshape(-1, len(wavelengths)).tolist()
+    columns: list[tuple[float, ...]] = [*directions] or [()]
     return [
-        ",".join(map(files.number, (wavelength, polar, azimuth, value)))
-        for (polar, azimuth), row in zip(directions, factor.tolist(), strict=True)
+        ",".join(map(files.number, (wavelength, *direction, value)))
+        for direction, row in zip(columns, table, strict=True)
         for wavelength, value in zip(wavelengths, row, strict=True)
     ]

@@ -10,8 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import vcavity_jax as vc
+from fitting import files
 from fitting.cli import arguments
 from fitting.measurement import read_spectrum
+from fitting.readers import geometry
 from vcavity_jax import materials
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
@@ -22,7 +24,33 @@ def surface(kind: str, values: dict[str, float]) -> Any:
     """The surface of a kind with the values given; a fit that frees its parameter may leave that out."""
     if kind == "v-grooves":
         return vc.VGrooves(jnp.asarray(values.get("angle", np.pi / 2), float))
-    return vc.BeckmannGrooves(jnp.asarray(values.get("roughness", 0.5), float))
+    roughness = jnp.asarray(values.get("roughness", 0.5), float)
+    return vc.BeckmannGrooves(roughness) if kind == "beckmann" else vc.GaussianGrooves(roughness)
+
+
+def known_surface(given: argparse.Namespace) -> Any:
+    """The surface of a command that computes: its own parameter must be given, the other's must not."""
+    values = {"angle": given.angle, "roughness": given.roughness}
+    own = arguments.OWN_PARAMETER[given.surface]
+    require_surface_options(given, {f"--{name}": value for name, value in values.items()})
+    if values[own] is None:
+        example = {"angle": "45deg", "roughness": "0.5"}[own]
+        raise ValueError(f"--surface {given.surface} needs --{own}: expected e.g. --{own} {example}")
+    return surface(given.surface, {own: values[own]})
+
+
+def described(given: argparse.Namespace) -> str:
+    """What a command computes, in its own words: surface, parameter, material and its optical data."""
+    own = arguments.OWN_PARAMETER[given.surface]
+    value = f"{np.rad2deg(given.angle):.10g} deg" if own == "angle" else files.number(given.roughness)
+    choice = "index" if given.material == "specular" else "reflectance"
+    return f"{given.surface}, {own} {value}, {given.material}, {choice} {getattr(given, choice)}"
+
+
+def light(given: tuple[Any, ...] | None) -> Any:
+    """The light that `--illumination` asks for; diffuse light without it."""
+    made = None if given is None else geometry.light(*given)
+    return vc.Diffuse() if made is None else made
 
 
 def material(given: argparse.Namespace, wavelengths_nm: np.ndarray) -> Any:
@@ -128,7 +156,7 @@ def _reflectance(given: argparse.Namespace, wavelengths_nm: np.ndarray) -> np.nd
 
 
 def require_surface_options(given: argparse.Namespace, values: dict[str, Any]) -> None:
-    """Refuse options that belong to the other surface.
+    """Refuse options that belong to another surface.
 
     Args:
         given: the options of the scene.
@@ -137,9 +165,10 @@ def require_surface_options(given: argparse.Namespace, values: dict[str, Any]) -
     Raises:
         ValueError: one of them does not belong to the surface.
     """
+    owners: dict[str, list[str]] = {}
+    for kind, parameter in arguments.OWN_PARAMETER.items():
+        owners.setdefault(parameter, []).append(kind)
     for option, value in values.items():
-        if value is None:
-            continue
-        for kind, parameter in arguments.OWN_PARAMETER.items():
-            if kind != given.surface and parameter in option:
-                raise ValueError(f"{option} belongs to --surface {kind}, not to {given.surface}")
+        for parameter, kinds in owners.items():
+            if value is not None and parameter in option and given.surface not in kinds:
+                raise ValueError(f"{option} belongs to --surface {' or '.join(kinds)}, not to {given.surface}")

@@ -14,7 +14,11 @@ from pathlib import Path
 MAX_FILE_BYTES = 256 * 1024 * 1024
 
 # Metadata the readers act on. All other keys are the user's own and are only kept.
-RESERVED_KEYS = ("illumination", "reflectance_unit", "polar_deg", "azimuth_deg", "standard_uncertainty")
+RESERVED_KEYS = (
+    *("illumination", "polar_deg", "azimuth_deg"),
+    *("geometry", "geometry_azimuth_deg", "trap_half_angle_deg"),
+    *("reflectance_unit", "standard_uncertainty"),
+)
 
 # A URL ("https://...") is not a key; a sentence with brackets or full stops before its colon is a comment.
 _KEY_LINE = re.compile(r"([^\W\d_][\w -]{0,39}?)\s*([:=])(?!//)\s*(.*)")

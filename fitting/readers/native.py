@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 from os import PathLike
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
-from fitting.readers import TextTable, number, quoted, read_table, suggestion
+from fitting.readers import TextTable, geometry, number, quoted, read_table, suggestion
 
 UNITS = {"fraction": 1.0, "percent": 0.01}
 # A union grid of directions and wavelengths may be far larger than the file it comes from.
@@ -26,11 +27,13 @@ class Contents:
 
     Args:
         wavelengths_nm: strictly increasing, nm, shape (L,).
-        polar: view polar angles, radians, shape (D,), in order of first appearance.
-        azimuth: view azimuths, radians, shape (D,).
+        polar: view polar angles, radians, shape (D,), in order of first appearance; NaN if all reflected
+            light is collected.
+        azimuth: view azimuths, radians, shape (D,); likewise.
         reflectance_factor: fraction, shape (D, L); NaN where nothing was measured.
         standard_uncertainty: fraction, shape (D, L), NaN where no row gives one; None if the file has none.
-        light: (polar, azimuth) of directional light, radians; None for diffuse light.
+        illumination: a light of `vcavity_jax`; None for diffuse light.
+        hemispherical: all reflected light is collected; there is one row, and it has no direction.
         metadata: the file's metadata, as written.
     """
 
@@ -39,7 +42,8 @@ class Contents:
     azimuth: Float64[np.ndarray, " directions"]
     reflectance_factor: Float64[np.ndarray, "directions wavelengths"]
     standard_uncertainty: Float64[np.ndarray, "directions wavelengths"] | None
-    light: tuple[float, float] | None
+    illumination: Any
+    hemispherical: bool
     metadata: dict[str, str]
 
 
@@ -59,6 +63,7 @@ def read(path: str | PathLike[str], *, column: str | None = None, reflectance_un
         ValueError: the file breaks the format; the message names file and line.
     """
     table = read_table(path)
+    seen = geometry.of_table(table)
     names, value_name = _columns(table, column)
     wavelengths = _wavelengths(table, names)
     polar_deg = _angles(table, names, "polar_deg", 90.0)
@@ -85,13 +90,18 @@ def read(path: str | PathLike[str], *, column: str | None = None, reflectance_un
         return full
 
     angles = np.deg2rad(np.array(list(first_seen)))
+    if seen.hemispherical:
+        angles = np.full((1, 2), np.nan)
+    elif seen.view is not None:
+        angles = np.array([[seen.view.polar, seen.view.azimuth]], dtype=np.float64)
     return Contents(
         wavelengths_nm=grid,
         polar=angles[:, 0],
         azimuth=angles[:, 1],
         reflectance_factor=scatter(values),
         standard_uncertainty=None if uncertainty is None else scatter(uncertainty),
-        light=_light(table),
+        illumination=seen.illumination,
+        hemispherical=seen.hemispherical,
         metadata=table.metadata(),
     )
 
@@ -272,27 +282,3 @@ def _check_order(table: TextTable, wavelengths: _Vector, direction: np.ndarray) 
                 "a direction: sort the file",
             )
         last[group] = wavelength
-
-
-def _light(table: TextTable) -> tuple[float, float] | None:
-    """Direction of the light in radians, None for diffuse light (also the default)."""
-    entry = table.entries.get("illumination")
-    if entry is None or entry.value.lower() == "diffuse":
-        return None
-    kind, *parts = (part.strip() for part in entry.value.lower().split(","))
-    angles = {key.strip(): number(value) for key, _, value in (part.partition("=") for part in parts)}
-    polar, azimuth = angles.get("polar_deg"), angles.get("azimuth_deg")
-    # A NaN angle fails the comparisons and is refused with the angles out of range.
-    if (
-        kind != "directional"
-        or len(parts) != 2
-        or polar is None
-        or azimuth is None
-        or not (abs(polar) <= 90 and abs(azimuth) <= 360)
-    ):
-        raise table.error(
-            entry.line,
-            f"illumination is {quoted(entry.value)}; expected 'diffuse' or "
-            "'directional, polar_deg=45, azimuth_deg=0' (polar within 90, azimuth within 360 degrees)",
-        )
-    return float(np.deg2rad(polar)), float(np.deg2rad(azimuth))

@@ -9,13 +9,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
 import vcavity_jax as vc
 from fitting import Measurement
 from fitting.cli import BAD_INPUT, BROKEN_PIPE, INTERRUPTED, NO_ANSWER, arguments, main
-from vcavity_jax import materials
+from fitting.readers import geometry
+from vcavity_jax import geometries, materials
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "data"
 GOLD, ORANGE, FLAT = (str(EXAMPLES / name) for name in ("gold-v45.csv", "orange-v60.csv", "flat-orange.csv"))
@@ -155,7 +157,7 @@ def test_wavelengths(text: str, values: list[float]) -> None:
 
 BAD_WORDS = {
     "--angle": ["", "deg", "0", "-10", "181deg", "4rad", "x", "nan", "45grad"],
-    "--roughness": ["-1", "inf", "rough"],
+    "--roughness": ["-1", "0", "inf", "rough"],
     "--wavelengths": [
         "",
         "700:400:10",
@@ -169,7 +171,13 @@ BAD_WORDS = {
     ],
     "--polar": ["91", "0,0", "0,,1", "-0,0", "a"],
     "--azimuth": ["361", "90,90"],
-    "--illumination": ["sun", "directional", "directional:45", "directional:95,0", "directional:a,b"],
+    "--illumination": [
+        *["sun", "directional", "directional:45", "directional:95,0", "directional:a,b", "directional:1,2,3"],
+        *["diffuse:", "diffuse:0", "annular", "annular:-45", "annular:91", "annular:45,0"],
+    ],
+    "--geometry": ["45:0", "d/8", ""],
+    "--geometry-azimuth": ["0,90", "361", "x"],
+    "--trap": ["-1", "16", "nan", "wide"],
     "--tolerance": ["0", "-1e-8", "2", "small"],
 }
 
@@ -178,11 +186,11 @@ BAD_WORDS = {
 def test_bad_word_names_its_option(capsys: pytest.CaptureFixture[str], option: str, text: str) -> None:
     said = refusal(capsys, "predict", *MATTE, "0.5", "--angle", "45", "--wavelengths", "500", option, text)
     assert said.startswith(f"argument {option}: ")
-    assert "expected" in said
+    assert "expected" in said or "choose from" in said
 
 
 BAD_FIT_WORDS = {
-    "--fix": ["angle", "angle=", "angle=0", "gain=1", "roughness=-1"],
+    "--fix": ["angle", "angle=", "angle=0", "gain=1", "roughness=-1", "roughness=0"],
     "--angle-range": ["10", "175:10", "0:90", "10:200", "a:b", "1:2:3"],
     "--roughness-range": ["0:1", "2:1"],
     "--wavelengths": ["800:390", "390"],
@@ -279,6 +287,82 @@ def test_prediction_of_random_grooves(capsys: pytest.CaptureFixture[str], tmp_pa
     np.testing.assert_array_equal(m.reflectance_factor, vc.reflectance_factor(scene, tolerance=1e-3))
 
 
+@pytest.fixture
+def made_up(monkeypatch: pytest.MonkeyPatch) -> list[vc.Scene]:
+    """The scenes whose reflectance factor is asked for; what is answered only has the right shape."""
+    scenes = []
+
+    def answer(scene: vc.Scene, tolerance: float) -> np.ndarray:
+        scenes.append(scene)
+        return np.full((*scene.view.shape, 2), 0.25)
+
+    monkeypatch.setattr(vc, "reflectance_factor", answer)
+    return scenes
+
+
+def assert_same(one: Any, other: Any) -> None:
+    """The same part of a scene, to the last bit."""
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    for mine, yours in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_array_equal(np.ravel(mine), np.ravel(yours))
+
+
+PLAIN = [*MATTE, "0.5", "--angle", "60", "--wavelengths", "500,600"]
+
+
+@pytest.mark.parametrize(
+    ("name", "azimuth"),
+    [(name, None) for name in geometry.GEOMETRIES] + [(name, 90.0) for name in geometry.TURNED],
+)
+def test_a_geometry_reads_back_as_the_same(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    made_up: list[vc.Scene],
+    name: geometries.Geometry,
+    azimuth: float | None,
+) -> None:
+    turned = [] if azimuth is None else ["--geometry-azimuth", str(azimuth)]
+    m = predicted(capsys, tmp_path, *PLAIN, "--geometry", name, *turned)
+    light, view = vc.cie_geometry(name, np.deg2rad(azimuth or 0.0))
+    (scene,) = made_up
+    for seen in (scene, m):
+        assert_same(seen.illumination, light)
+        assert_same(seen.view, view)
+    assert m.reflectance_factor.tolist() == [[0.25, 0.25]]
+    text = (tmp_path / "predicted.csv").read_text(encoding="utf-8")
+    assert f"# geometry: {name}\n" in text
+    assert "\nwavelength_nm,reflectance_factor\n500,0.25\n" in text
+    assert " polar_deg" not in text
+
+
+def test_a_trap_reads_back_as_it_was(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, made_up: list[vc.Scene]
+) -> None:
+    for option, expected in ([], 6.0), (["--trap", "5.1"], 5.1), (["--trap", "0"], 0.0):
+        m = predicted(capsys, tmp_path, *PLAIN, "--geometry", "de:8", *option)
+        assert f"# trap_half_angle_deg: {expected:g}\n" in (tmp_path / "predicted.csv").read_text(encoding="utf-8")
+        assert m.illumination.half_angle == made_up[-1].illumination.half_angle == np.deg2rad(expected)
+
+
+def test_a_ring_of_light_reads_back_as_the_same(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, made_up: list[vc.Scene]
+) -> None:
+    m = predicted(capsys, tmp_path, *PLAIN, "--illumination", "annular:45", "--polar", "0,30")
+    for seen in (m, *made_up):
+        assert_same(seen.illumination, vc.Annular(np.deg2rad(45.0)))
+        np.testing.assert_array_equal(seen.view.polar, np.deg2rad([0.0, 30.0]))
+    assert_same(predicted(capsys, tmp_path, *PLAIN, "--illumination", "diffuse").illumination, vc.Diffuse())
+
+
+def test_gaussian_slopes_reach_the_model(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, made_up: list[vc.Scene]
+) -> None:
+    options = [*MATTE, "0.5", "--wavelengths", "500,600", "--surface", "gaussian", "--roughness", "0.3"]
+    m = predicted(capsys, tmp_path, *options)
+    assert_same(made_up[0].surface, vc.GaussianGrooves(0.3))
+    assert m.metadata["title"] == "gaussian, roughness 0.3, lambertian, reflectance 0.5"
+
+
 # A flat surface is cheap: its reflectance factor is that of the material.
 PLANE = ["--angle", "180deg", "--wavelengths", "450,550"]
 
@@ -350,12 +434,37 @@ def test_prediction_is_written_whole_or_not_at_all(
     assert list(tmp_path.iterdir()) == [path]
 
 
+SEEN = [*MATTE, "0.5", "--angle", "45", "--geometry"]
+
+
 @pytest.mark.parametrize(
     ("argv", "said"),
     [
         ([*MATTE, "0.5"], "--surface v-grooves needs --angle"),
         ([*MATTE, "0.5", "--surface", "beckmann"], "--surface beckmann needs --roughness"),
-        ([*MATTE, "0.5", "--angle", "45", "--roughness", "1"], "--roughness belongs to --surface beckmann"),
+        ([*MATTE, "0.5", "--surface", "gaussian"], "--surface gaussian needs --roughness"),
+        (
+            [*MATTE, "0.5", "--angle", "45", "--roughness", "1"],
+            "--roughness belongs to --surface beckmann or gaussian, not to v-grooves",
+        ),
+        (
+            [*MATTE, "0.5", "--angle", "45", "--surface", "gaussian"],
+            "--angle belongs to --surface v-grooves, not to gaussian",
+        ),
+        ([*SEEN, "d:8", "--polar", "8"], "--polar beside --geometry d:8, which sets light and view"),
+        ([*SEEN, "d:0", "--azimuth", "0"], "--azimuth beside --geometry d:0"),
+        ([*SEEN, "d:8", "--azimuth", "9"], "expected one of them (did you mean --geometry-azimuth?)"),
+        ([*SEEN, "d:d", "--illumination", "diffuse"], "--illumination beside --geometry d:d"),
+        (
+            [*SEEN, "d:0", "--geometry-azimuth", "90"],
+            "--geometry-azimuth has no effect in --geometry d:0: expected",
+        ),
+        (
+            [*SEEN, "d:8", "--trap", "5"],
+            "--trap has no effect in --geometry d:8: expected --geometry de:8 with it",
+        ),
+        ([*SEEN[:-1], "--trap", "5"], "--trap has no effect without --geometry"),
+        ([*SEEN[:-1], "--geometry-azimuth", "5"], "has no effect without --geometry: expected --geometry d:8 or"),
         (["--material", "lambertian", "--angle", "45"], "needs --reflectance"),
         (["--material", "specular", "--angle", "45"], "needs --index"),
         ([*MATTE, "0.5", "--angle", "45", "--index", "1.5"], "--index belongs to --material specular"),
@@ -432,6 +541,22 @@ def test_fit_of_a_mirror(capsys: pytest.CaptureFixture[str], tmp_path: Path, sta
     assert stand_in.options == {"standard_uncertainty": None, "tolerance": 1e-8}
 
 
+def test_fit_takes_light_and_view_from_the_file(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, stand_in: StandIn
+) -> None:
+    source = tmp_path / "sphere.csv"
+    for head, expected in (
+        ("# geometry: d:d", vc.cie_geometry("d:d")),
+        ("# geometry: 8:d\n# geometry_azimuth_deg: 90", vc.cie_geometry("8:d", np.pi / 2)),
+        ("# geometry: 45a:0", vc.cie_geometry("45a:0")),
+        ("# illumination: annular, polar_deg=60\n# polar_deg: 20", (vc.Annular(np.pi / 3), vc.View(np.pi / 9))),
+    ):
+        source.write_text(f"{head}\nwavelength_nm,reflectance\n500,0.3\n600,0.4\n", encoding="utf-8")
+        fit(capsys, tmp_path / "out", str(source), *MATTE, "0.5")
+        assert_same(stand_in.scene.illumination, expected[0])
+        assert_same(stand_in.scene.view, expected[1])
+
+
 def test_fit_of_a_matte_surface(capsys: pytest.CaptureFixture[str], tmp_path: Path, stand_in: StandIn) -> None:
     fit(capsys, tmp_path, ORANGE, *MATTE, FLAT)
     expected = Measurement.read(FLAT).reflectance_factor[0]
@@ -441,7 +566,7 @@ def test_fit_of_a_matte_surface(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     np.testing.assert_array_equal(stand_in.measurement.wavelengths_nm, np.arange(450, 601, 10))
 
 
-ROUGH = ["--surface", "beckmann"]
+ROUGH, GAUSSIAN = ["--surface", "beckmann"], ["--surface", "gaussian"]
 
 
 @pytest.mark.parametrize(
@@ -452,6 +577,8 @@ ROUGH = ["--surface", "beckmann"]
         (["--angle-range", "10:175"], {"angle": (10, 175)}),
         (ROUGH, {"roughness": (0.01, 3)}),
         ([*ROUGH, "--roughness-range", "0.1:1", "--free", "roughness"], {"roughness": (0.1, 1)}),
+        (GAUSSIAN, {"roughness": (0.01, 3)}),
+        ([*GAUSSIAN, "--fix", "roughness=0.3", "--free", "gain"], {"gain": None}),
         (["--fix", "angle=45deg", "--free", "gain"], {"gain": None}),
         (
             [*ROUGH, "--fix", "roughness=0.3", "--free", "gain", "--free", "offset"],
@@ -472,6 +599,8 @@ def test_free_and_fixed_parameters(
         if limits is not None:
             expected = np.deg2rad(limits) if name == "angle" else limits
             np.testing.assert_allclose(stand_in.bounds[name], expected, rtol=1e-15)
+    kind = vc.BeckmannGrooves if "beckmann" in argv else vc.GaussianGrooves if "gaussian" in argv else vc.VGrooves
+    assert type(stand_in.scene.surface) is kind
     if "angle=45deg" in argv:
         assert stand_in.scene.surface.angle == math.radians(45)
     if "roughness=0.3" in argv:

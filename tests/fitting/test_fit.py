@@ -355,6 +355,7 @@ def orange_like() -> tuple[vc.Scene, Measurement]:
         ([free.parameter("r", lambda s: s.material.reflectance, 0, 1)], r"shape \(6,\)"),
         ([free.parameter("m", lambda s: s.material, 0, 1)], "holds a Lambertian"),
         ([free.angle(), free.angle(20)], "given twice"),
+        ([free.angle(0.05)], "angles from 0.05 degrees; expected a lower bound of at least 0.1 degrees"),
         ([free.angle(), free.parameter("a", lambda s: s.surface.angle, 1, 2)], "the same number"),
         ([free.parameter("a", lambda s: s.surface.angle, 1, 4)], "at its bound: 4 is not a dihedral angle"),
         ([free.parameter(f"p{i}", lambda s: s.surface.angle, 1, 2) for i in range(4)], "expected at most 3"),

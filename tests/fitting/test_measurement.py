@@ -238,7 +238,7 @@ BAD: list[tuple] = [
     ("misspelled key", "# reflectance unit: percent\n400,1\n", ":1: unknown metadata 'reflectance unit'"),
     ("equals sign", "\n# illumination = diffuse\n400,1\n", ":2: metadata 'illumination' is written"),
     ("unknown light", "# a\n# illumination: sun\n400,1\n", ":2: illumination is 'sun'; expected 'diffuse'"),
-    ("no light", "# illumination:\n400,1\n", ":1: illumination is ''; expected 'diffuse' or"),
+    ("no light", "# illumination:\n400,1\n", ":1: illumination is ''; expected 'diffuse', 'dir"),
     ("light too low", DIRECTIONAL + "polar_deg=91, azimuth_deg=0\n400,1\n", ":1: illumination is"),
     ("light is NaN", DIRECTIONAL + "polar_deg=, azimuth_deg=0\n400,1\n", ":1: illumination is"),
     ("light half given", DIRECTIONAL + "polar_deg=45\n400,1\n", ":1: illumination is"),
@@ -299,10 +299,12 @@ def test_import_does_not_load_jax() -> None:
     # A fresh interpreter, and the modules alone: fitting itself may import more.
     code = (
         "import sys, types; package = types.ModuleType('fitting'); package.__path__ = [sys.argv[1]];"
-        "sys.modules['fitting'] = package; import fitting.measurement; sys.exit('jax' in sys.modules)"
+        "sys.modules['fitting'] = package; import fitting.measurement;"
+        "fitting.measurement.native.read(sys.argv[2]); sys.exit('jax' in sys.modules)"
     )
     package = Path(sys.modules["fitting.measurement"].__file__ or "").parent
-    assert subprocess.run([sys.executable, "-c", code, str(package)], check=False).returncode == 0
+    argv = [sys.executable, "-c", code, str(package), str(EXAMPLES / "flat-orange.csv")]
+    assert subprocess.run(argv, check=False).returncode == 0
 
 
 # The object itself.
@@ -351,6 +353,8 @@ WRONG = [
     ({"standard_uncertainty": np.full((2, 3), NAN)}, r"standard_uncertainty\[0, 0\] is nan"),
     ({"standard_uncertainty": np.full((2, 3), np.inf)}, r"standard_uncertainty\[0, 0\] is inf"),
     ({"illumination": "diffuse"}, "illumination is the text 'diffuse'; expected a light"),
+    ({"polar": np.array([NAN, 0.0])}, r"polar\[0\] is nan; expected finite numbers \(NaN with hemispherical=True"),
+    ({"hemispherical": True}, r"polar has shape \(2,\); expected \(1,\), because all light is collected"),
 ]
 
 

@@ -148,6 +148,17 @@ def test_each_searched_parameter_has_its_panels(tmp_path: Path, profiles: tuple[
         assert said.count(label) == 2 * (name in profiles)
 
 
+@pytest.mark.parametrize("wavelengths", [1, 31])
+def test_all_reflected_light_has_no_angle(tmp_path: Path, wavelengths: int) -> None:
+    result = fitted(1, wavelengths, profiles=())
+    m, nothing = result.measurement, np.array([np.nan])
+    collected = dataclasses.replace(m, polar=nothing, azimuth=nothing, hemispherical=True)
+    said = words(dataclasses.replace(result, measurement=collected), tmp_path)
+    assert "all directions" in said
+    assert "view" in said
+    assert not any("°" in text or "nan" in text for text in said)
+
+
 def test_one_point_is_enough(tmp_path: Path) -> None:
     assert "reflectance factor" in words(fitted(1, 1), tmp_path)
 

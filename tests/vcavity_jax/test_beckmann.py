@@ -14,6 +14,7 @@ import pytest
 
 import vcavity_jax as vc
 from vcavity_jax import roughness
+from vcavity_jax.quadrature import legendre_nodes
 
 TRUTH: list[dict[str, Any]] = json.loads((Path(__file__).parents[1] / "data" / "specular.json").read_text())[
     "beckmann_hdr"
@@ -106,12 +107,13 @@ def test_planned_shortcut_keeps_the_records() -> None:
             assert found == pytest.approx(r["R"], rel=0, abs=1e-8)
 
 
-def test_density_integrates_to_one() -> None:
-    """The nodes carry the whole density but the steep tail, which is known: exp(-U²/2)."""
+@pytest.mark.parametrize("slopes", ["beckmann", "gaussian"])
+def test_density_integrates_to_one(slopes: Any) -> None:
+    """All but the steep tail, which is known: exp(-U²/2), erfc(U/√2)."""
     for cutoff in (3.0, 6.1, 8.5):
         ends = jnp.linspace(0, cutoff, 12)
-        _, weight = roughness.panel_nodes(ends[:-1], ends[1:], 16)
-        total = float(jnp.sum(weight)) + roughness.tail_weight(cutoff)
+        u, weight = legendre_nodes(ends[:-1], ends[1:], 16)
+        total = float(jnp.sum(weight * roughness.density(u, slopes))) + roughness.tail_weight(cutoff, slopes)
         assert total == pytest.approx(1, abs=1e-14)
 
 
