@@ -182,12 +182,12 @@ def plan(scene: Scene, tolerance: float, smallest_angle: float | None = None) ->
         most=most,
         clustering=resolution.clustering(tolerance, visible),
         averaging=resolution.average_clustering(tolerance),
-        sphere=_sphere(scene, tolerance, angle, roughest),
+        sphere=_sphere(scene, tolerance, None if value is None else angle, roughest),
     )
 
 
 def _sphere(scene: Scene, tolerance: float, angle: float | None, roughest: float | None) -> Sphere | None:
-    """Nodes of a mirror that is lit and seen by the hemisphere."""
+    """Nodes of a mirror that is lit and seen by the hemisphere, at a known angle or at any."""
     between = isinstance(scene.view, Hemisphere) and isinstance(scene.illumination, Diffuse)
     if not isinstance(scene.material, Specular) or not between:
         return None

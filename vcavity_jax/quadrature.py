@@ -12,9 +12,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Inexact
 
 _PANELS_AT_ONCE = 8
+
+
+def of_one_rank(*arrays: Inexact[Array, "..."]) -> tuple[Inexact[Array, "..."], ...]:
+    """Arrays that broadcast against each other, all of one rank: so an axis of nodes can stand before them."""
+    rank = max(jnp.ndim(array) for array in arrays)
+    return tuple(jnp.reshape(array, (*(1,) * (rank - jnp.ndim(array)), *jnp.shape(array))) for array in arrays)
 
 
 def legendre_nodes(
@@ -29,46 +35,47 @@ def legendre_nodes(
 
 def sorted_panels(
     marks: Float[Array, "... marks"], start: float | Float[Array, ""], end: float | Float[Array, ""]
-) -> Float[Array, "... ends"]:
+) -> Float[Array, "ends ..."]:
     """Ends of panels that cover a range: the marks within it, sorted; all others are left behind its end."""
     inside = (marks > start) & (marks < end)
     ends = jnp.sort(jnp.where(inside, marks, jnp.full_like(marks, end)), axis=-1)
     first = jnp.full_like(ends, start, shape=(*ends.shape[:-1], 1))
     padding = jnp.full_like(ends, end, shape=(*ends.shape[:-1], 1 + (-(ends.shape[-1] + 1)) % _PANELS_AT_ONCE))
-    return jnp.concatenate([first, ends, padding], axis=-1)
+    return jnp.moveaxis(jnp.concatenate([first, ends, padding], axis=-1), -1, 0)
 
 
 def sum_over_panels(
-    integrand: Callable[[Float[Array, "... nodes"]], Float[Array, "... nodes"]],
-    ends: Float[Array, "... ends"],
+    integrand: Callable[[Float[Array, "nodes ..."]], Float[Array, "nodes ..."]],
+    ends: Float[Array, "ends ..."],
     order: int,
     finer: int | None = None,
     finer_panels: int = 0,
 ) -> Float[Array, "..."]:
     """Integral over panels, one loop that stops where all that is left is empty.
 
-    The loop is differentiable in forward mode only (``safe.elementwise_forward`` mends that).
+    The loop is differentiable in forward mode only (``safe.elementwise_forward`` mends that). Nodes run along the
+    first axis: wavelengths, in which nothing of the geometry changes, are best left the last one.
 
     Args:
-        integrand: of nodes along the last axis.
+        integrand: of nodes.
         ends: of ``sorted_panels``.
         order: nodes per panel.
         finer: nodes of the first panels, at least ``finer_panels`` of them; None for none.
         finer_panels: how many.
     """
-    last, panels = ends[..., -1], ends.shape[-1] - 1
-    shape = jax.eval_shape(integrand, ends[..., :1]).shape[:-1]
+    last, panels = ends[-1], ends.shape[0] - 1
+    shape = jax.eval_shape(integrand, ends[:1]).shape[1:]
 
     def add(first: int, stop: int, nodes: int, total: Array) -> Array:
         def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
             start, total = carry
-            chunk = lax.dynamic_slice_in_dim(ends, start, _PANELS_AT_ONCE + 1, axis=-1)
-            x, weight = legendre_nodes(chunk[..., :-1], chunk[..., 1:], nodes)
-            x, weight = (jnp.reshape(a, (*a.shape[:-2], -1)) for a in (x, weight))
-            return start + _PANELS_AT_ONCE, total + jnp.sum(weight * integrand(x), axis=-1)
+            chunk = lax.dynamic_slice_in_dim(ends, start, _PANELS_AT_ONCE + 1)
+            x, weight = (jnp.moveaxis(a, -1, 1) for a in legendre_nodes(chunk[:-1], chunk[1:], nodes))
+            x, weight = (jnp.reshape(a, (-1, *a.shape[2:])) for a in (x, weight))
+            return start + _PANELS_AT_ONCE, total + jnp.sum(weight * integrand(x), axis=0)
 
         def unfinished(carry: tuple[Array, Array]) -> Array:
-            here = lax.dynamic_index_in_dim(ends, jnp.minimum(carry[0], panels), axis=-1, keepdims=False)
+            here = lax.dynamic_index_in_dim(ends, jnp.minimum(carry[0], panels), keepdims=False)
             return (carry[0] < stop) & jnp.any(here < last)
 
         return lax.while_loop(unfinished, body, (jnp.asarray(first), total))[1]

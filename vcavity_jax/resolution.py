@@ -144,10 +144,12 @@ def bihemispherical_orders(tolerance: float, angle: float | None, tame: bool) ->
     digits = -math.log10(tolerance)
     degrees = 180.0 if angle is None else math.degrees(angle)
     if degrees > 170:
-        across = 3 + 0.65 * digits + 0.175 * digits**2
+        across = 3 + 0.65 * digits + 0.21 * digits**2
     else:
-        across = 2.5 + (0.215 if degrees > 60 else 0.14) * digits**2
-    along = 3 + 0.35 * digits + 0.2 * digits**2 + (3 if angle is None or degrees < 25 else 0)
+        across = 3 + 0.225 * digits**2 if degrees > 60 else 2.5 + 0.195 * digits**2
+    along = 3 + 0.35 * digits + 0.2 * digits**2
+    if angle is None or degrees < 25:
+        along += 2 + 0.04 * digits**2
     critical = 0 if tame else min(math.ceil(4 + 0.36 * digits**2), 40)
     return BihemisphericalResolution(math.ceil(across), math.ceil(along), critical)
 
@@ -176,7 +178,7 @@ class AngleTableResolution:
         Hard mirrors change fastest at the upper end, where another reflection sets in at grazing incidence.
         """
         fewer = 2 * int(math.log2(most / 8)) + 2 if most > 8 else 0
-        near = 4 * self.digits - 11 if most == 2 else 3 * self.digits - 9
+        near = 4.5 * self.digits - 13 if most == 2 else 4 * self.digits - 14
         return max(4, math.ceil(2 * self.digits - 2) - fewer), max(4, math.ceil(near) - fewer)
 
 

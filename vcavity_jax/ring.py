@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float, Inexact
 
 from vcavity_jax.directions import components
-from vcavity_jax.quadrature import legendre_nodes, sorted_panels, sum_over_panels
+from vcavity_jax.quadrature import legendre_nodes, of_one_rank, sorted_panels, sum_over_panels
 from vcavity_jax.roughness import Slopes, specular_average
 from vcavity_jax.safe import elementwise_forward, floor_of, safe_divide
 from vcavity_jax.scene import Polarization
@@ -46,7 +46,8 @@ def specular_average_over_ring(
         most: orders of kinks to resolve; at least 2π/angle.
     """
 
-    def average(angle: Array, polar: Array, *parts: Array) -> Array:
+    def average(*arguments: Array) -> Array:
+        angle, polar, *parts = of_one_rank(*arguments)
         index = parts[0] if len(parts) == 1 else lax.complex(*parts)
         # The kinks of ``kinks.reflection_kinks``, solved for θ'.
         turns = jnp.arange(1, most + 1, dtype=angle.dtype)
@@ -60,8 +61,8 @@ def specular_average_over_ring(
         ends = sorted_panels(jnp.concatenate([kinks, regular], axis=-1), 0.0, _QUARTER)
 
         def integrand(azimuth: Array) -> Array:
-            along, across, normal = components(jnp.broadcast_to(polar[..., None], azimuth.shape), azimuth)
-            return hemispherical_directional(a, along, across, normal, index[..., None], model)
+            along, across, normal = components(jnp.broadcast_to(polar, azimuth.shape), azimuth)
+            return hemispherical_directional(angle, along, across, normal, index, model)
 
         return sum_over_panels(integrand, ends, order) / _QUARTER
 

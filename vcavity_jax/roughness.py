@@ -15,7 +15,7 @@ from jax import lax
 from jaxtyping import Array, Float, Inexact
 
 from vcavity_jax.kinks import reflection_kinks, trap_kinks
-from vcavity_jax.quadrature import Clustering, clustered_nodes, sorted_panels, sum_over_panels
+from vcavity_jax.quadrature import Clustering, clustered_nodes, of_one_rank, sorted_panels, sum_over_panels
 from vcavity_jax.safe import elementwise_forward, floor_of
 from vcavity_jax.scene import Polarization
 from vcavity_jax.specular import Trap, hemispherical_directional
@@ -77,7 +77,8 @@ def specular_average(
         trap: a part of the hemisphere from which no light comes.
     """
 
-    def average(roughness: Array, along: Array, across: Array, normal: Array, *others: Array) -> Array:
+    def average(*arguments: Array) -> Array:
+        roughness, along, across, normal, *others = of_one_rank(*arguments)
         dark = None if trap is None else Trap(*others[-4:])
         index_parts = others if trap is None else others[:-4]
         index = index_parts[0] if len(index_parts) == 1 else lax.complex(*index_parts)
@@ -102,14 +103,7 @@ def specular_average(
 
         def integrand(u: Array) -> Array:
             value = hemispherical_directional(
-                groove_angle(roughness[..., None], u),
-                along[..., None],
-                across[..., None],
-                normal[..., None],
-                index[..., None],
-                model,
-                symmetric,
-                None if dark is None else Trap(*(part[..., None] for part in dark)),
+                groove_angle(roughness, u), along, across, normal, index, model, symmetric, dark
             )
             return density(u, slopes) * value
 

@@ -57,7 +57,11 @@ GLASS = vc.Specular(1.5)
     [
         (scene(material=GLASS, illumination=vc.Directional(0.3)), "delta function"),
         (scene(material=GLASS, illumination=vc.Mixed(0.5, vc.Directional(0.3))), "delta function"),
-        (scene(vc.BeckmannGrooves(0.3), illumination=vc.Directional(0.3)), r"Diffuse\(\) light only"),
+        (scene(material=GLASS, illumination=vc.Annular(0.8)), "delta function"),
+        (
+            vc.Scene(vc.VGrooves(1.0), vc.Lambertian(0.5), vc.DiffuseWithTrap(-0.14, 0.0, 0.1), vc.Hemisphere()),
+            "trap goes with a detector in one direction",
+        ),
     ],
 )
 def test_scenes_without_an_answer(bad: vc.Scene, reason: str) -> None:
