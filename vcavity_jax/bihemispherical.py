@@ -363,7 +363,7 @@ def is_tame(index: Inexact[ArrayLike, "..."]) -> np.ndarray:
     index = np.asarray(index)
     cosine = np.sqrt(1 - index * (index + 0j))
     abrupt = np.abs(cosine - 1) + np.abs(cosine + 1) < 2 * _ABRUPT
-    return ~(abrupt & ((index * index).real < 1) & (cosine.real > _GRAZING))
+    return np.asarray(~(abrupt & ((index * index).real < 1) & (cosine.real > _GRAZING)))
 
 
 def specular(

@@ -1,7 +1,7 @@
 """Bi-hemispherical reflectance of randomly grooved mirrors: a table in the groove angle, and its averages.
 
 R_m = ∫ p(u) R̄(α(u)) du with α = 2 atan2(1, m u). R̄ is analytic on each [π/(k+1), π/k]: there it is interpolated
-on Chebyshev nodes, in two blocks, the upper one short, since hard mirrors change fast where another reflection
+on Chebyshev nodes, in blocks, short ones at the upper end, since hard mirrors change fast where another reflection
 sets in. The average over the interpolant is a weighted sum of the values at the nodes; the weights alone depend
 on the roughness, the values on the material.
 
@@ -28,7 +28,7 @@ _AT_ONCE = 4
 """Angles that are evaluated side by side."""
 
 _UPPER = 0.15
-"""Share of the upper of the two blocks between π/(k+1) and π/k."""
+"""By how much the blocks between π/(k+1) and π/k shorten towards the upper end."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,9 +67,12 @@ def _blocks(resolution: AngleTableResolution) -> tuple[_Block, ...]:
     k = 1
     while k == 1 or 1 / np.tan(np.pi / (2 * k)) < resolution.steepest:
         lower, upper = np.pi / (k + 1), np.pi / k
-        between = upper - _UPPER * (upper - lower)
+        cuts = [upper - _UPPER**power * (upper - lower) for power in range(resolution.gradings, -1, -1)]
         few, near = resolution.nodes(k + 1)
-        blocks += [_Block(k + 1, between, upper, near), _Block(k + 1, lower, between, few)]
+        blocks += [
+            _Block(k + 1, end, start, few if end == cuts[-1] else near)
+            for start, end in zip([upper, *cuts], cuts, strict=False)
+        ]
         k += 1
     return tuple(blocks)
 
@@ -77,7 +80,7 @@ def _blocks(resolution: AngleTableResolution) -> tuple[_Block, ...]:
 @lru_cache(maxsize=32)
 def _static_weights(resolution: AngleTableResolution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """For the blocks below 90 degrees: slopes (blocks, q), matrices (blocks, nodes, q), positions of the nodes."""
-    blocks = _blocks(resolution)[2:]
+    blocks = [b for b in _blocks(resolution) if b.most > 2]
     q = int(max((b.nodes for b in blocks), default=4) // 2 + 12 + resolution.digits)
     longest = max((b.nodes for b in blocks), default=1)
     node, weight = unit_legendre(q)
@@ -99,7 +102,7 @@ def _weights(
     """Weights of the node values in the average; they sum to 1."""
     m = jnp.maximum(roughness, floor_of(roughness))
     parts = []
-    for block in _blocks(resolution)[:2]:
+    for block in (b for b in _blocks(resolution) if b.most == 2):
         # Flat surfaces crowd within m of α = π: here the nodes follow the roughness, below they need not.
         start, end = (jnp.minimum(slope / m, resolution.cutoff) for slope in block.slopes)
         node, weight = (
@@ -121,7 +124,7 @@ def _weights(
     return weights / jnp.sum(weights)
 
 
-def _chebyshev(x: Float[Array, "*q"], nodes: int) -> Float[Array, "degrees *q"]:
+def _chebyshev(x: Float[Array, "..."], nodes: int) -> Float[Array, "degrees ..."]:
     """Chebyshev polynomials by their recurrence: smooth at the ends too."""
     rows = [jnp.ones_like(x), x]
     for _ in range(nodes - 2):

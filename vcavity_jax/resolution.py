@@ -144,7 +144,7 @@ def bihemispherical_orders(tolerance: float, angle: float | None, tame: bool) ->
     digits = -math.log10(tolerance)
     degrees = 180.0 if angle is None else math.degrees(angle)
     if degrees > 170:
-        across = 3 + 0.65 * digits + 0.21 * digits**2
+        across = 3 + 0.5 * digits + 0.3 * digits**2
     else:
         across = 3 + 0.225 * digits**2 if degrees > 60 else 2.5 + 0.195 * digits**2
     along = 3 + 0.35 * digits + 0.2 * digits**2
@@ -172,14 +172,20 @@ class AngleTableResolution:
     wide: BihemisphericalResolution
     narrow: BihemisphericalResolution
 
+    @property
+    def gradings(self) -> int:
+        """Into how many shorter blocks the upper end is divided; for the hardest mirrors and fine tolerances."""
+        return 1 if self.digits < 6.5 else 2 if self.digits < 9.5 else 3
+
     def nodes(self, most: int) -> tuple[int, int]:
         """Chebyshev nodes for angles between π/most and π/(most - 1), near the lower and the upper end.
 
         Hard mirrors change fastest at the upper end, where another reflection sets in at grazing incidence.
         """
         fewer = 2 * int(math.log2(most / 8)) + 2 if most > 8 else 0
-        near = 4.5 * self.digits - 13 if most == 2 else 4 * self.digits - 14
-        return max(4, math.ceil(2 * self.digits - 2) - fewer), max(4, math.ceil(near) - fewer)
+        near = 4 * self.digits - 8 if most == 2 else 3 * self.digits - 6
+        near /= 1 if self.gradings == 1 else 1.3
+        return max(4, math.ceil(2.3 * self.digits - 2) - fewer), max(4, math.ceil(near) - fewer)
 
 
 def angle_table_resolution(tolerance: float, roughest: float, tame: bool) -> AngleTableResolution:

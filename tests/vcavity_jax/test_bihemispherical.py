@@ -53,7 +53,9 @@ def random_indices(random: np.random.Generator, size: int) -> np.ndarray:
         near_one + 0j,
         near_one + 1j * 10 ** random.uniform(-4, 1, size),
         random.uniform(0.05, 3, size) + 1j * random.uniform(0.5, 8, size),
-        random.choice([50, 1 + 20j, 0.2 + 20j, 1.0001, 1.001, 1e3, 3 + 100j, 1 + 300j, 1.00001], size),
+        random.choice(
+            [50, 1 + 20j, 0.2 + 20j, 1.0001, 1.001, 1e3, 3 + 100j, 1 + 300j, 1.00001, 1.04 + 0.05j], size
+        ),
     ]
     return np.choose(random.integers(0, len(columns), size), columns)
 
