@@ -63,7 +63,7 @@ from thesis_recipe import Real
 
 import vcavity_jax as vc
 from vcavity_jax import planning, resolution
-from vcavity_jax.bihemispherical_table import BihemisphericalTable
+from vcavity_jax.angle_table import BihemisphericalTable
 from vcavity_jax.planning import Plan
 
 ROUGHNESS = 0.3

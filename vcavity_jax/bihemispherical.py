@@ -19,7 +19,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Inexact
 from vcavity_jax import fresnel
 from vcavity_jax.fresnel import permittivity_contrast, power
 from vcavity_jax.resolution import BihemisphericalResolution
-from vcavity_jax.safe import elementwise_forward, floor_of
+from vcavity_jax.safe import elementwise_forward, floor_of, safe_hypot
 from vcavity_jax.scene import Polarization
 
 _ABRUPT = 1.0619
@@ -280,16 +280,20 @@ def _critical(
         middle = jnp.where(end - middle < close, end, middle)
         end = jnp.where(beyond, jnp.pi / 2, end)
         middle = jnp.where(beyond, (start + end) / 2, middle)
-        lower, upper = (jnp.stack(ends)[:, None, None, None] for ends in ((start, middle), (middle, end)))
-        width = upper - lower
-        v, dv = lower + width * grid(s, 1), width * grid(ds, 1)
-        left = (beta_end - upper) + width * grid(s[::-1], 1)
-        beta = jnp.where(beyond, jnp.zeros_like(v), v)
-        left = jnp.where(beyond | (panel >= panels) | (left <= 0), beta_end + jnp.zeros_like(left), left)
-        root = jnp.sqrt(jnp.sin(left) * jnp.sin(2 * beta_end - left))
-        cos_eta = jnp.where(beyond, jnp.cos(v), cosine / jnp.cos(beta))
-        sin_eta = jnp.where(beyond, jnp.sin(v), root / jnp.cos(beta))
-        dv = dv * jnp.where(beyond, jnp.ones_like(v), cosine * jnp.tan(beta) / root) * cos_eta**2
+        ends = jnp.stack([start, middle, end])
+        # With sin β = sin β* sin ψ, the root that the tilt has at its end β* disappears.
+        inside = jnp.where(beyond | (ends >= beta_end), jnp.zeros_like(ends), ends)
+        psi = jnp.where(ends >= beta_end, jnp.pi / 2, jnp.arcsin(jnp.sin(inside) / jnp.sin(beta_end)))
+        ends = jnp.where(beyond, ends, psi)
+        lower, upper = ends[:-1, None, None, None], ends[1:, None, None, None]
+        v, dv = lower + (upper - lower) * grid(s, 1), (upper - lower) * grid(ds, 1)
+        sin_beta = jnp.sin(beta_end) * jnp.sin(v)
+        cos_beta = safe_hypot(jnp.cos(beta_end), jnp.sin(beta_end) * jnp.cos(v))
+        beta = jnp.where(beyond, jnp.zeros_like(v), jnp.arctan2(sin_beta, cos_beta))
+        cos_eta = jnp.where(beyond, jnp.cos(v), jnp.cos(beta_end) / cos_beta)
+        sin_eta = jnp.where(beyond, jnp.sin(v), jnp.sin(beta_end) * jnp.cos(v) / cos_beta)
+        slope = jnp.where(beyond, jnp.ones_like(v), jnp.cos(beta_end) * sin_beta / cos_beta**2)
+        dv = dv * slope * cos_eta**2
         dv = jnp.where(panel < panels, dv, jnp.zeros_like(dv))
         folded = jnp.mod(beta, angle)
         folded = jnp.minimum(folded, angle - folded)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from vcavity_jax import (
+    angle_table,
     bihemispherical,
     illumination,
     planning,
@@ -20,8 +21,7 @@ from vcavity_jax import (
     roughness,
     specular,
 )
-from vcavity_jax import bihemispherical_table as angle_table
-from vcavity_jax.bihemispherical_table import BihemisphericalTable
+from vcavity_jax.angle_table import BihemisphericalTable
 from vcavity_jax.directions import components
 from vcavity_jax.planning import Plan
 from vcavity_jax.resolution import AngleTableResolution, BihemisphericalResolution

@@ -149,14 +149,14 @@ def bihemispherical_orders(tolerance: float, angle: float | None, tame: bool) ->
         across = 3 + 0.225 * digits**2 if degrees > 60 else 2.5 + 0.195 * digits**2
     along = 3 + 0.35 * digits + 0.2 * digits**2
     if angle is None or degrees < 25:
-        along += 2 + 0.04 * digits**2
+        along += 3 + 0.08 * digits**2
     critical = 0 if tame else min(math.ceil(4 + 0.36 * digits**2), 40)
     return BihemisphericalResolution(math.ceil(across), math.ceil(along), critical)
 
 
 @dataclasses.dataclass(frozen=True)
 class AngleTableResolution:
-    """Sampling of ``bihemispherical_table``: the bi-hemispherical reflectance as a function of the groove angle.
+    """Sampling of ``angle_table``: the bi-hemispherical reflectance as a function of the groove angle.
 
     Args:
         digits: of the interpolation in the angle.

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from vcavity_jax import bihemispherical, resolution
-from vcavity_jax.bihemispherical_table import BihemisphericalTable, average
+from vcavity_jax.angle_table import BihemisphericalTable, average
 from vcavity_jax.resolution import angle_table_resolution, bihemispherical_orders
 from vcavity_jax.specular import hemispherical_directional
 
