@@ -93,7 +93,7 @@ def _static_weights(resolution: AngleTableResolution) -> tuple[np.ndarray, np.nd
         polynomials = np.polynomial.chebyshev.chebvander(x, block.nodes - 1).T
         matrices[i, : block.nodes] = block.to_nodes.T @ polynomials * (end - start) * weight
         positions.append(i * longest + np.arange(block.nodes))
-    return slopes, matrices, np.concatenate(positions) if positions else np.zeros(0, int)
+    return slopes, matrices, np.concatenate([np.zeros(0, np.int32), *positions]).astype(np.int32)
 
 
 def _weights(

@@ -68,7 +68,8 @@ def reflectance_factor(
         scene: the surface, material, illumination and view.
         tolerance: upper bound on the absolute numerical error, a plain number between 0 and 1. Rounding limits
             what can be reached: for diffusing panels to 1e-13 from 5 degrees and 1e-11 at 1 degree, with shadows
-            or masks to 1e-11 from 10 degrees, 1e-10 at 5 and 1e-8 at 1; in float32 to 1e-5 from 20 degrees.
+            or masks to 1e-11 from 10 degrees, 1e-10 at 5 and 1e-8 at 1; in float32 to 1e-5 from 20 degrees. Not
+            kept for mirrors of n < 1 and k < 0.01 seen by a hemisphere: docs/geometries.md.
         smallest_angle: radians. Diffusing panels, and mirrors lit by a ring, cost several times less if a
             dihedral angle that JAX traces is known to stay above this; by default 0.1 degrees. There a traced
             angle below it gives NaN.

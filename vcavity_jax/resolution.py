@@ -134,7 +134,8 @@ def average_clustering(tolerance: float) -> Clustering:
 def bihemispherical_orders(tolerance: float, angle: float | None, tame: bool) -> BihemisphericalResolution:
     """Sampling of the bi-hemispherical reflectance of specular grooves for an absolute error.
 
-    Where total external reflection begins abruptly but not at once (n < 1, 0 < k < 0.01), the error stays at 1e-8.
+    Where total external reflection begins almost abruptly (n < 1, 0 < k < 0.01), the error can be several times
+    1e-6 where 1e-6 is asked for, and stays above 1e-8.
 
     Args:
         tolerance: absolute error of the reflectance.
