@@ -11,7 +11,6 @@ from vcavity_jax.directions import components
 from vcavity_jax.illumination import shadow_sections
 from vcavity_jax.safe import safe_divide, safe_hypot
 from vcavity_jax.scene import (
-    Annular,
     DiffuseWithTrap,
     Directional,
     Mixed,
@@ -87,8 +86,8 @@ def trap_kinks(
 def kink_angles(scene: Scene, lower: float, upper: float) -> np.ndarray:
     """Sorted dihedral angles between two limits at which the scene's reflectance factor has a kink, radians.
 
-    With a gloss trap, a mirror groove's jumps at some of them. Empty for randomly grooved surfaces, whose average
-    is smooth, and for diffusing panels in diffuse light seen by a hemisphere.
+    Its slope jumps there, or, for a mirror groove behind a gloss trap, it jumps itself. Averages over a ring, a
+    disk or the hemisphere of directions keep their slope and add none; randomly grooved surfaces have none.
 
     Args:
         scene: its view and illumination must be known (not traced).
@@ -112,10 +111,12 @@ def kink_angles(scene: Scene, lower: float, upper: float) -> np.ndarray:
 
 
 def _of_diffusers(scene: Scene) -> np.ndarray:
-    sections = [np.abs(np.asarray(shadow_sections(scene.illumination))).ravel()]
+    sections = [np.empty(0)]
+    if isinstance(scene.illumination, Directional | Mixed):
+        sections.append(np.asarray(shadow_sections(scene.illumination)))
     if isinstance(scene.view, View):
         _, across, normal = _view_components(scene.view)
-        sections.append(np.abs(np.arctan2(across, normal)).ravel())
+        sections.append(np.abs(np.arctan2(across, normal)))
     return 2 * np.concatenate(sections)
 
 
@@ -123,15 +124,11 @@ def _of_mirrors(scene: Scene, lower: float) -> np.ndarray:
     light, most = scene.illumination, int(np.ceil(2 * np.pi / lower)) + 1
     if isinstance(scene.view, View):
         along, across, normal = _view_components(scene.view)
-    elif isinstance(light, Annular):
-        # The ring's own section angle is where paths set in; 0 is the one where all of it changes at once.
-        ring = np.array([0.0, float(light.polar)])
-        along, across, normal = np.zeros(2), np.sin(ring), np.cos(ring)
     elif isinstance(light, Directional | Mixed):
         light = light.directional if isinstance(light, Mixed) else light
         along, across, normal = (np.asarray(part) for part in components(light.polar, light.azimuth))
     else:
-        return np.pi / np.arange(1, most + 1)
+        return np.empty(0)
     section = jnp.asarray(np.arctan2(across, normal).ravel())
     found = [np.asarray(reflection_kinks(section, most)).ravel()]
     if isinstance(light, DiffuseWithTrap):
