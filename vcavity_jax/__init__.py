@@ -15,11 +15,11 @@ from vcavity_jax.maps import (
 from vcavity_jax.maps import (
     reflection_count as reflection_count,
 )
-from vcavity_jax.reflectance import (
-    bihemispherical_table as bihemispherical_table,
+from vcavity_jax.profile import (
+    radiance_profile as radiance_profile,
 )
 from vcavity_jax.reflectance import (
-    radiance_profile as radiance_profile,
+    bihemispherical_table as bihemispherical_table,
 )
 from vcavity_jax.reflectance import (
     reflectance_factor as reflectance_factor,
@@ -29,6 +29,9 @@ from vcavity_jax.scene import (
 )
 from vcavity_jax.scene import (
     BeckmannGrooves as BeckmannGrooves,
+)
+from vcavity_jax.scene import (
+    ColoredLayer as ColoredLayer,
 )
 from vcavity_jax.scene import (
     Diffuse as Diffuse,
@@ -43,7 +46,13 @@ from vcavity_jax.scene import (
     GaussianGrooves as GaussianGrooves,
 )
 from vcavity_jax.scene import (
+    Halftone as Halftone,
+)
+from vcavity_jax.scene import (
     Hemisphere as Hemisphere,
+)
+from vcavity_jax.scene import (
+    InterfacedLambertian as InterfacedLambertian,
 )
 from vcavity_jax.scene import (
     Lambertian as Lambertian,
@@ -65,6 +74,9 @@ from vcavity_jax.scene import (
 )
 from vcavity_jax.scene import (
     View as View,
+)
+from vcavity_jax.specular_component import (
+    specular_component as specular_component,
 )
 
 __version__ = "0.1.0"

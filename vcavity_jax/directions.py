@@ -5,6 +5,7 @@ tilts the angles of incidence.
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
@@ -71,3 +72,8 @@ def hidden_depth(
     depth = safe_divide(jnp.where(behind > 0, behind, jnp.zeros_like(behind)), facing)
     visible = jnp.where(behind > 0, safe_divide(2 * normal * sine, facing), jnp.ones_like(facing))
     return depth, visible
+
+
+def within_range(angle: Float[Array, ""]) -> Float[Array, ""]:
+    """A dihedral angle, where rounding (180 degrees in single precision) exceeds π."""
+    return jnp.where(angle > np.pi, jnp.full_like(angle, np.pi), angle)

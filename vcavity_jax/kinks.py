@@ -13,13 +13,18 @@ from vcavity_jax.safe import safe_divide, safe_hypot
 from vcavity_jax.scene import (
     DiffuseWithTrap,
     Directional,
+    InterfacedLambertian,
     Mixed,
     Scene,
     Specular,
+    TwoPanels,
     VGrooves,
     View,
 )
 from vcavity_jax.specular import Trap
+
+_INTERFACE_ORDERS = 4
+"""Orders k of kinks of interfaced panels to list; at the next one the slope jumps by less than a thousandth."""
 
 
 def reflection_kinks(
@@ -106,7 +111,13 @@ def kink_angles(scene: Scene, lower: float, upper: float) -> np.ndarray:
         )
     if not isinstance(scene.surface, VGrooves):
         return np.empty(0)
-    found = _of_mirrors(scene, lower) if isinstance(scene.material, Specular) else _of_diffusers(scene)
+    material = scene.material.first if isinstance(scene.material, TwoPanels) else scene.material
+    if isinstance(material, Specular):
+        found = _of_mirrors(scene, lower)
+    elif isinstance(material, InterfacedLambertian):
+        found = _of_interfaces(scene, lower)
+    else:
+        found = _of_diffusers(scene)
     return np.unique(found[(found >= lower) & (found <= upper)])
 
 
@@ -118,6 +129,20 @@ def _of_diffusers(scene: Scene) -> np.ndarray:
         _, across, normal = _view_components(scene.view)
         sections.append(np.abs(np.arctan2(across, normal)))
     return 2 * np.concatenate(sections)
+
+
+def _of_interfaces(scene: Scene, lower: float) -> np.ndarray:
+    """2|θ'|, and (π ± 2θ')/k where the rim begins to cut off a hit; the slope's jump fades with the order k."""
+    sections = [np.empty(0)]
+    if isinstance(scene.illumination, Directional | Mixed):
+        sections.append(np.asarray(shadow_sections(scene.illumination)))
+    if isinstance(scene.view, View):
+        _, across, normal = _view_components(scene.view)
+        sections.append(np.abs(np.arctan2(across, normal)))
+    section = np.concatenate(sections)[:, None]
+    order = np.arange(1, min(int(np.ceil(2 * np.pi / lower)), _INTERFACE_ORDERS) + 1)
+    found = [2 * section, (np.pi + 2 * section) / order, (np.pi - 2 * section) / order]
+    return np.concatenate([part.ravel() for part in found])
 
 
 def _of_mirrors(scene: Scene, lower: float) -> np.ndarray:

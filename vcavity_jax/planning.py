@@ -11,21 +11,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vcavity_jax import bihemispherical, resolution
+from vcavity_jax import bihemispherical, resolution, subsurface
+from vcavity_jax.interfaced import InterfaceResolution
 from vcavity_jax.lambertian import MeanResolution
 from vcavity_jax.quadrature import Clustering
 from vcavity_jax.resolution import AngleTableResolution, BihemisphericalResolution
 from vcavity_jax.scene import (
     Annular,
+    ColoredLayer,
     Diffuse,
     DiffuseWithTrap,
     Directional,
     Hemisphere,
+    InterfacedLambertian,
+    Lambertian,
     Material,
     Mixed,
     Polarization,
     Scene,
     Specular,
+    TwoPanels,
     VGrooves,
     View,
     concrete,
@@ -61,6 +66,8 @@ class Plan:
         clustering: nodes of a ring or a disk of light.
         averaging: nodes of an average over groove angles of diffusing panels.
         sphere: nodes of the integral over all directions of a mirror, None if it is not needed.
+        interface: sampling of interfaced panels, None if there are none.
+        tiers: the same for parts of the range of angles of random grooves, with the smallest angle of each.
     """
 
     darkest: float
@@ -77,6 +84,13 @@ class Plan:
     clustering: Clustering
     averaging: Clustering
     sphere: Sphere | None
+    interface: InterfaceResolution | None
+    tiers: tuple[tuple[float, InterfaceResolution], ...]
+
+    @property
+    def mirrors(self) -> BihemisphericalResolution | None:
+        """Nodes of the specular component of interfaced panels that are lit and seen by the hemisphere."""
+        return self.sphere if isinstance(self.sphere, BihemisphericalResolution) else None
 
     @property
     def open(self) -> bool:
@@ -122,13 +136,16 @@ def _components(polar: np.ndarray | None, azimuth: np.ndarray | None) -> Directi
     return along, across, normal
 
 
-def plan(scene: Scene, tolerance: float, smallest_angle: float | None = None) -> Plan:
+def plan(
+    scene: Scene, tolerance: float, smallest_angle: float | None = None, smallest_index: float | None = None
+) -> Plan:
     """The least work that keeps the tolerance for a scene.
 
     Args:
         scene: what is traced in it counts as unknown.
         tolerance: absolute error of the reflectance factor.
         smallest_angle: of a groove angle that is traced, radians.
+        smallest_index: of an interface's index that is traced.
     """
     tolerance = resolution.check_tolerance(tolerance)
     cutoff, order, most = 0.0, resolution.panel_order(tolerance), 0
@@ -150,6 +167,8 @@ def plan(scene: Scene, tolerance: float, smallest_angle: float | None = None) ->
             # A coarse ladder of orders keeps the number of compiled programs small.
             narrowest = resolution.NARROWEST if angle is None else angle
             most = 2 ** int(np.ceil(np.log2(2 * np.pi / narrowest + 1)))
+    elif interfaced_panel(scene.material) is not None and angle is not None:
+        most = 2 ** int(np.ceil(np.log2(2 * np.pi / max(angle, resolution.INTERFACED_NARROWEST) + 1)))
     view, light = _known_view(scene), _known_light(scene)
     single = isinstance(scene.surface, VGrooves)
     lit, seen = (_fully_met(part, angle, single) for part in (light, view))
@@ -183,13 +202,50 @@ def plan(scene: Scene, tolerance: float, smallest_angle: float | None = None) ->
         clustering=resolution.clustering(tolerance, visible),
         averaging=resolution.average_clustering(tolerance),
         sphere=_sphere(scene, tolerance, None if value is None else angle, roughest),
+        interface=_interface(scene, tolerance, angle, 1.0 if lit and seen else visible, smallest_index),
+        tiers=() if single else _tiers(scene, tolerance, angle, smallest_index),
     )
+
+
+_WIDE = (np.pi / 3, np.pi / 7)
+"""Angles at which the work for random grooves with interfaces is divided."""
+
+
+def _interface(
+    scene: Scene, tolerance: float, angle: float | None, visible: float | None, smallest_index: float | None
+) -> InterfaceResolution | None:
+    panel = interfaced_panel(scene.material)
+    if panel is None:
+        return None
+    known = concrete(panel.index)
+    index = None if smallest_index is None else (smallest_index, resolution.HIGHEST)
+    if known is not None and known.size:
+        index = float(np.min(known)), float(np.max(known))
+    return resolution.interface_resolution(tolerance, angle, index, visible)
+
+
+def _tiers(
+    scene: Scene, tolerance: float, angle: float | None, smallest_index: float | None
+) -> tuple[tuple[float, InterfaceResolution], ...]:
+    narrowest = resolution.INTERFACED_NARROWEST if angle is None else angle
+    ends = [*(wide for wide in _WIDE if wide > narrowest), narrowest]
+    nodes = [_interface(scene, tolerance, end, None, smallest_index) for end in ends]
+    return tuple((end, part) for end, part in zip(ends, nodes, strict=True) if part is not None)
+
+
+def interfaced_panel(material: Material) -> InterfacedLambertian | None:
+    """The material of the panels, the first of two, if they have an interface."""
+    panel = material.first if isinstance(material, TwoPanels) else material
+    return panel if isinstance(panel, InterfacedLambertian) else None
 
 
 def _sphere(scene: Scene, tolerance: float, angle: float | None, roughest: float | None) -> Sphere | None:
     """Nodes of a mirror that is lit and seen by the hemisphere, at a known angle or at any."""
-    between = isinstance(scene.view, Hemisphere) and isinstance(scene.illumination, Diffuse)
-    if not isinstance(scene.material, Specular) or not between:
+    if not (isinstance(scene.view, Hemisphere) and isinstance(scene.illumination, Diffuse)):
+        return None
+    if interfaced_panel(scene.material) is not None:
+        return resolution.bihemispherical_orders(tolerance, angle if roughest is None else None, tame=True)
+    if not isinstance(scene.material, Specular):
         return None
     if roughest is not None:
         return table_resolution(scene.material, tolerance, roughest)
@@ -224,6 +280,26 @@ def _hidden(angle: float, across: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Hidden depth of the panel that faces a direction; negative where both panels are met."""
     facing, behind = np.abs(across) * np.cos(angle / 2), normal * np.sin(angle / 2)
     return (facing - behind) / (facing + behind)
+
+
+def simplified(material: Material) -> Material:
+    """Interfaced panels of index 1, if that is known, are bare ones, unless a layer absorbs along each path."""
+    if isinstance(material, TwoPanels):
+        first, second = simplified(material.first), simplified(material.second)
+        if isinstance(first, Lambertian) and isinstance(second, Lambertian):
+            return TwoPanels(first, second, material.alternating)
+        return material
+    if not isinstance(material, InterfacedLambertian):
+        return material
+    known = concrete(material.index)
+    if known is None or not bool(np.all(known == 1)) or has_slanted_layer(material):
+        return material
+    return Lambertian(jnp.broadcast_to(subsurface.albedo(material).kappa, material.wavelength_shape))
+
+
+def has_slanted_layer(material: InterfacedLambertian) -> bool:
+    """Whether a layer absorbs along each path at its own slant."""
+    return isinstance(material.layer, ColoredLayer) and material.layer.model == "williams-clapper"
 
 
 def with_safe_index(material: Material) -> Material:

@@ -101,7 +101,7 @@ class Clustering:
 
 
 @lru_cache(maxsize=64)
-def _clustered(clustering: Clustering, half: bool) -> tuple[np.ndarray, np.ndarray]:
+def clustered(clustering: Clustering, half: bool) -> tuple[np.ndarray, np.ndarray]:
     """Nodes from 0 to 1 and weights of sum 1; half: for even integrands, they cluster at 1 alone."""
     count = int(np.ceil(clustering.reach / clustering.step))
     x = np.arange(0 if half else -count, count + 1) * clustering.step
@@ -123,6 +123,6 @@ def clustered_nodes(
         clustering: how finely, see ``resolution.clustering``.
         half: the integrand is even about the start and smooth there: half the nodes, clustered at the end.
     """
-    nodes, weight = (jnp.asarray(a, start.dtype) for a in _clustered(clustering, half))
+    nodes, weight = (jnp.asarray(a, start.dtype) for a in clustered(clustering, half))
     length = (end - start)[..., None]
     return start[..., None] + length * nodes, length * weight

@@ -1,19 +1,19 @@
 """From a scene to its reflectance factor: check it, plan the least work that it needs, do that work."""
 
 import dataclasses
-from collections.abc import Sequence
 from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from vcavity_jax import (
     angle_table,
     bihemispherical,
     illumination,
+    interfaced_scene,
     planning,
     radiosity,
     resolution,
@@ -22,7 +22,7 @@ from vcavity_jax import (
     specular,
 )
 from vcavity_jax.angle_table import BihemisphericalTable
-from vcavity_jax.directions import components
+from vcavity_jax.directions import components, within_range
 from vcavity_jax.planning import Plan
 from vcavity_jax.resolution import AngleTableResolution, BihemisphericalResolution
 from vcavity_jax.roughness import Slopes
@@ -34,7 +34,9 @@ from vcavity_jax.scene import (
     Directional,
     Hemisphere,
     Illumination,
+    InterfacedLambertian,
     Lambertian,
+    Material,
     Mixed,
     Polarization,
     Scene,
@@ -52,7 +54,11 @@ _EXTENDED_AT_ONCE = 4
 
 
 def reflectance_factor(
-    scene: Scene, tolerance: float = 1e-8, *, smallest_angle: float | None = None
+    scene: Scene,
+    tolerance: float = 1e-8,
+    *,
+    smallest_angle: float | None = None,
+    smallest_index: float | None = None,
 ) -> Float[Array, "*directions_and_wavelengths"]:
     """Reflectance factor of a scene: its radiance seen from afar over that of a perfect white flat diffuser.
 
@@ -71,8 +77,11 @@ def reflectance_factor(
             or masks to 1e-11 from 10 degrees, 1e-10 at 5 and 1e-8 at 1; in float32 to 1e-5 from 20 degrees. Not
             kept for mirrors of n < 1 and k < 0.01 seen by a hemisphere: docs/geometries.md.
         smallest_angle: radians. Diffusing panels, and mirrors lit by a ring, cost several times less if a
-            dihedral angle that JAX traces is known to stay above this; by default 0.1 degrees. There a traced
+            dihedral angle that JAX traces is known to stay above this; by default 0.1 degrees, and 2 degrees for
+            interfaced panels, the narrowest that are modeled. There a traced
             angle below it gives NaN.
+        smallest_index: interfaced panels cost several times less if an index that JAX traces is known to stay at
+            or above this; by default 1. There a traced index below it gives NaN.
 
     Returns:
         Fraction, of shape ``scene.view.shape`` (none for a hemispherical view) followed by the material's
@@ -85,23 +94,25 @@ def reflectance_factor(
             not one between 0.1 degrees and π.
 
     References:
-        [SaintPierre2020, chapters 3 and 4], with the corrections of docs/errata.md.
+        [SaintPierre2020, chapters 3 to 5], with the corrections of docs/errata.md.
     """
-    _check(scene, smallest_angle)
+    check(scene, smallest_angle, smallest_index)
     light = scene.illumination
     if isinstance(scene.view, Hemisphere):
         if isinstance(light, Mixed):
+            promised = {"smallest_angle": smallest_angle, "smallest_index": smallest_index}
             diffuse, directional = (
-                reflectance_factor(_lit(scene, part), tolerance, smallest_angle=smallest_angle)
+                reflectance_factor(_lit(scene, part), tolerance, **promised)
                 for part in (Diffuse(), light.directional)
             )
             return light.diffuse_fraction * diffuse + (1 - light.diffuse_fraction) * directional
         if isinstance(light, Directional):
             # Reciprocity: what a direction lights diffusely is what diffuse light sends in that direction.
             scene = Scene(scene.surface, scene.material, Diffuse(), View(light.polar, light.azimuth))
-    scene = Scene(scene.surface, planning.with_safe_index(scene.material), scene.illumination, scene.view)
-    value = _evaluate(scene, planning.plan(scene, tolerance, smallest_angle))
-    return _within_plan(scene, value, smallest_angle)
+    material = planning.with_safe_index(planning.simplified(scene.material))
+    scene = Scene(scene.surface, material, scene.illumination, scene.view)
+    value = _evaluate(scene, planning.plan(scene, tolerance, smallest_angle, smallest_index))
+    return within_plan(scene, value, smallest_angle, smallest_index)
 
 
 def _lit(scene: Scene, light: Illumination) -> Scene:
@@ -142,44 +153,7 @@ def _build_table(index: Array, model: Polarization, nodes: AngleTableResolution)
     return BihemisphericalTable.build(index, model, nodes)
 
 
-def radiance_profile(
-    scene: Scene, position: ArrayLike | Sequence[float], tolerance: float = 1e-8
-) -> Float[Array, "2 ..."]:
-    """Local radiance along both panels of a diffusing groove; it does not depend on the view.
-
-    Args:
-        scene: ``VGrooves`` of ``Lambertian`` or ``TwoPanels``; its view is not used.
-        position: distance from the fold in panel widths, 0 to 1, any shape.
-        tolerance: upper bound on the absolute numerical error for positions above 1e-4, a plain number between
-            0 and 1. Nearer to the fold the error grows as 1 / √position; below 1e-14 the radiance at 1e-14
-            is returned, and that of the fold itself, exactly, at 0.
-
-    Returns:
-        First panel (y < 0), then second, in units of the radiance of a flat white diffuser in the same light;
-        shape (2,) + position.shape + wavelength shape.
-
-    Raises:
-        ValueError: as ``reflectance_factor``; the panels are specular, the groove angle is random, or a known
-            position is not in 0 to 1.
-
-    References:
-        [SaintPierre2020, sections 3.3 to 3.5].
-    """
-    if isinstance(scene.material, Specular) or not isinstance(scene.surface, VGrooves):
-        raise ValueError("a radiance profile needs diffusing panels and one groove angle: Lambertian, VGrooves")
-    _check(scene, None)
-    position = jnp.asarray(position, jnp.result_type(float))
-    value = concrete(position)
-    if value is not None:
-        refuse("a position on a panel", value, ~((value >= 0) & (value <= 1)), "0 (fold) to 1 (rim)")
-    plan = dataclasses.replace(
-        planning.plan(scene, tolerance),
-        step=resolution.step_resolution(resolution.check_tolerance(tolerance), None, None),
-    )
-    return _within_plan(scene, _profile(scene, position, plan), None)
-
-
-def _check(scene: Scene, smallest_angle: float | None) -> None:
+def check(scene: Scene, smallest_angle: float | None, smallest_index: float | None) -> None:
     """Refuse what has no answer, or none that the models cover, in one clear line."""
     light, sphere = scene.illumination, isinstance(scene.view, Hemisphere)
     if isinstance(scene.material, Specular) and not sphere and not isinstance(light, Diffuse | DiffuseWithTrap):
@@ -191,6 +165,13 @@ def _check(scene: Scene, smallest_angle: float | None) -> None:
         if sphere:
             raise ValueError("a gloss trap goes with a detector in one direction: expected View(polar, azimuth)")
         _check_trap(light, scene.view)
+    if not isinstance(scene.surface, VGrooves) and isinstance(scene.view, View):
+        source = light.directional if isinstance(light, Mixed) else light
+        if getattr(source, "solid_angle", None) is not None:
+            raise ValueError(
+                "the specular component of a source of given solid angle on random grooves is not modeled: "
+                "expected Directional without solid_angle"
+            )
     for part in (scene.surface, light, getattr(light, "directional", None)):
         for name in ("angle", "roughness", "polar", "azimuth", "half_angle", "diffuse_fraction"):
             if jnp.ndim(getattr(part, name, 0.0)) != 0:
@@ -199,6 +180,8 @@ def _check(scene: Scene, smallest_angle: float | None) -> None:
     if smallest_angle is not None:
         bad = not resolution.NARROWEST <= smallest_angle <= np.pi
         refuse("a smallest angle in radians", smallest_angle, bad, "0.1 degrees (0.00175) to π", degrees)
+    if smallest_index is not None:
+        refuse("a smallest index", smallest_index, not 1 <= smallest_index < np.inf, "a number n ≥ 1")
     if not isinstance(scene.surface, VGrooves):
         known = concrete(scene.surface.roughness)
         if known is not None:
@@ -206,10 +189,13 @@ def _check(scene: Scene, smallest_angle: float | None) -> None:
     elif not isinstance(scene.material, Specular):
         known = concrete(scene.surface.angle)
         if known is not None:
-            narrow = known < resolution.NARROWEST * (1 - 1e-6)
-            refuse(
-                "an angle of diffusing grooves that is modeled", known, narrow, "at least 0.1 degrees (0.00175)"
-            )
+            limit, expected = resolution.NARROWEST, "at least 0.1 degrees (0.00175)"
+            kind = "diffusing"
+            if planning.interfaced_panel(planning.simplified(scene.material)) is not None:
+                limit, expected = resolution.INTERFACED_NARROWEST, "at least 2 degrees (0.0349)"
+                kind = "interfaced"
+            narrow = known < limit * (1 - 1e-6)
+            refuse(f"an angle of {kind} grooves that is modeled", known, narrow, expected)
 
 
 def _check_trap(light: DiffuseWithTrap, view: View | Hemisphere) -> None:
@@ -228,52 +214,43 @@ def _check_trap(light: DiffuseWithTrap, view: View | Hemisphere) -> None:
     )
 
 
-def _within_plan(scene: Scene, value: Array, smallest_angle: float | None) -> Array:
+def within_plan(scene: Scene, value: Array, smallest_angle: float | None, smallest_index: float | None) -> Array:
     """NaN where a traced parameter turns out to lie beyond what the work was planned for."""
+    panel = planning.interfaced_panel(scene.material)
+    limits: list[tuple[Array, Array]] = []
     if not isinstance(scene.surface, VGrooves):
-        parameter, kept = scene.surface.roughness, scene.surface.roughness <= planning.ROUGHEST
+        limits.append((scene.surface.roughness, scene.surface.roughness <= planning.ROUGHEST))
     elif not isinstance(scene.material, Specular) or isinstance(scene.illumination, Annular):
-        lowest = (resolution.NARROWEST if smallest_angle is None else smallest_angle) * (1 - 1e-6)
-        parameter, kept = scene.surface.angle, scene.surface.angle >= lowest
-    else:
-        return value
-    if concrete(parameter) is not None:
-        return value
-    return jnp.where(kept, value, jnp.full_like(value, jnp.nan))
+        narrowest = resolution.NARROWEST if panel is None else resolution.INTERFACED_NARROWEST
+        lowest = max(narrowest, smallest_angle or 0.0) * (1 - 1e-6)
+        limits.append((scene.surface.angle, scene.surface.angle >= lowest))
+    if panel is not None:
+        least = (smallest_index or 1.0) * (1 - 1e-12)
+        limits.append((panel.index, jnp.all(panel.index >= least)))
+    for parameter, kept in limits:
+        if concrete(parameter) is None:
+            value = jnp.where(kept, value, jnp.full_like(value, jnp.nan))
+    return value
 
 
 @eqx.filter_jit
 def _evaluate(scene: Scene, plan: Plan) -> Array:
     directions = _directions(scene.view)
     if isinstance(scene.material, Specular):
-        wavelength_shape = scene.material.index.shape
+        shape = scene.material.index.shape
         value = _specular(scene, directions, plan)
+    elif planning.interfaced_panel(scene.material) is not None:
+        shape = wavelength_shape(scene.material)
+        assert isinstance(scene.material, InterfacedLambertian | TwoPanels)
+        value = interfaced_scene.reflectance(scene.material, scene.illumination, scene.surface, directions, plan)
     else:
-        panels = _panels(scene.material)
-        wavelength_shape = jnp.broadcast_shapes(*(jnp.shape(p) for p in panels))
-        first, second = (jnp.broadcast_to(p, wavelength_shape).ravel() for p in panels)
+        both = panels(scene.material)
+        shape = jnp.broadcast_shapes(*(jnp.shape(p) for p in both))
+        first, second = (jnp.broadcast_to(p, shape).ravel() for p in both)
         value = _diffusing(scene, (first, second), directions, plan)
         if isinstance(scene.material, TwoPanels) and scene.material.alternating and directions is not None:
             value = (value + _diffusing(scene, (second, first), directions, plan)) / 2
-    return jnp.reshape(value, (*scene.view.shape, *wavelength_shape))
-
-
-@eqx.filter_jit
-def _profile(scene: Scene, position: Array, plan: Plan) -> Array:
-    assert isinstance(scene.surface, VGrooves)
-    panels = _panels(scene.material)
-    wavelength_shape = jnp.broadcast_shapes(*(jnp.shape(p) for p in panels))
-    first, second = (jnp.broadcast_to(p, wavelength_shape).ravel() for p in panels)
-    angle = _within_range(scene.surface.angle)
-    value = radiosity.local_radiance(
-        scene.illumination, angle, (first, second), position.ravel(), plan, plan.clustering
-    )
-    if isinstance(scene.material, TwoPanels) and scene.material.alternating:
-        swapped = radiosity.local_radiance(
-            scene.illumination, angle, (second, first), position.ravel(), plan, plan.clustering
-        )
-        value = (value + swapped) / 2
-    return jnp.reshape(value, (2, *position.shape, *wavelength_shape))
+    return jnp.reshape(value, (*scene.view.shape, *shape))
 
 
 def _directions(view: View | Hemisphere) -> tuple[Array, Array, Array] | None:
@@ -299,7 +276,7 @@ def _specular(scene: Scene, directions: tuple[Array, Array, Array] | None, plan:
         trap = specular.Trap(*components(light.polar, light.azimuth), light.half_angle)
     if isinstance(surface, VGrooves):
         value = specular.hemispherical_directional(
-            _within_range(surface.angle), along, across, normal, index, plan.model, plan.symmetric, trap
+            within_range(surface.angle), along, across, normal, index, plan.model, plan.symmetric, trap
         )
     else:
         value = roughness.specular_average(
@@ -322,7 +299,7 @@ def _specular(scene: Scene, directions: tuple[Array, Array, Array] | None, plan:
 def _specular_sphere(surface: Surface, light: Illumination, index: Array, plan: Plan) -> Float[Array, " w"]:
     """Mirrors seen by a detector that collects all light."""
     if isinstance(surface, VGrooves):
-        angle = _within_range(surface.angle)
+        angle = within_range(surface.angle)
         if isinstance(light, Annular):
             return ring.specular_average_over_ring(angle, light.polar, index, plan.model, plan.order, plan.most)
         assert isinstance(plan.sphere, BihemisphericalResolution)
@@ -336,12 +313,14 @@ def _specular_sphere(surface: Surface, light: Illumination, index: Array, plan: 
     return angle_table.average(surface.roughness, index, plan.model, plan.sphere, slopes)
 
 
-def _within_range(angle: Float[Array, ""]) -> Float[Array, ""]:
-    """The dihedral angle, where rounding (180 degrees in single precision) exceeds π."""
-    return jnp.where(angle > np.pi, jnp.full_like(angle, np.pi), angle)
+def wavelength_shape(material: Material) -> tuple[int, ...]:
+    """Wavelength shape of interfaced panels, () or (L,)."""
+    panels = (material.first, material.second) if isinstance(material, TwoPanels) else (material,)
+    return jnp.broadcast_shapes(*(p.wavelength_shape for p in panels if isinstance(p, InterfacedLambertian)))
 
 
-def _panels(material: Lambertian | TwoPanels | Specular) -> tuple[Array, Array]:
+def panels(material: Material) -> tuple[Array, Array]:
+    """Reflectances of the first and the second of two bare panels."""
     if isinstance(material, TwoPanels):
         return material.first.reflectance, material.second.reflectance
     assert isinstance(material, Lambertian)
@@ -354,7 +333,7 @@ def _diffusing(
     alike = isinstance(scene.material, Lambertian)
     at = partial(_diffusing_at, scene.illumination, reflectances, alike)
     if isinstance(scene.surface, VGrooves):
-        return at(directions, plan, _within_range(scene.surface.angle))
+        return at(directions, plan, within_range(scene.surface.angle))
     m, slopes = scene.surface.roughness, _slopes(scene.surface)
     shadows = illumination.shadow_sections(scene.illumination).astype(m.dtype)
     unhidden = dataclasses.replace(plan, lit=True, seen=True)

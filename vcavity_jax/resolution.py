@@ -10,6 +10,7 @@ import math
 import jax
 import numpy as np
 
+from vcavity_jax.interfaced import InterfaceResolution
 from vcavity_jax.lambertian import OSCILLATING, SHIFT, MeanResolution
 from vcavity_jax.quadrature import Clustering
 from vcavity_jax.wiener_hopf import Resolution
@@ -82,6 +83,99 @@ def step_resolution(tolerance: float, angle: float | None, visible: float | None
         extent=demand + 5,
         smallest_angle=smallest,
     )
+
+
+INTERFACED_NARROWEST = math.radians(2.0)
+"""The smallest dihedral angle of interfaced grooves that is modeled: their images multiply as it shrinks."""
+
+NEAREST_TO_ONE = 1e-11
+"""n - 1 that stands for 0 where an index is not known to be 1."""
+
+_CONTRASTS = (0.2, 0.05, 1e-2, 1e-3, 1e-5)
+_IMAGES = (1, 2, 3, 4, 6, 8, 11, 15, 21, 30, 42, 60)
+
+
+def interface_resolution(
+    tolerance: float, angle: float | None, index: tuple[float, float] | None, visible: float | None
+) -> InterfaceResolution:
+    """Sampling of an interfaced groove for an absolute error of the reflectance factor.
+
+    Args:
+        tolerance: absolute error of the reflectance factor.
+        angle: the smallest dihedral angle, radians, or None if unknown.
+        index: the smallest and the largest refractive index, or None if unknown.
+        visible: the smallest lit or seen part of a panel, or None if unknown.
+    """
+    lowest = INTERFACED_NARROWEST if angle is None else max(angle, INTERFACED_NARROWEST)
+    # α ≥ π / (images + 1): a coarse ladder keeps the number of compiled programs small.
+    images = next(
+        (k for k in _IMAGES if lowest * (k + 1) >= math.pi * (1 - 1e-9)), math.ceil(math.pi / lowest) - 1
+    )
+    smallest = max(math.pi / (images + 1), lowest if images > _IMAGES[-1] else 0.0)
+    least, most = (1 + NEAREST_TO_ONE, HIGHEST) if index is None else index
+    contrast = next((c for c in _CONTRASTS if least - 1 >= c * (1 - 1e-9)), NEAREST_TO_ONE)
+    # In still narrower grooves what is neglected would be amplified too much.
+    orders = images
+    if smallest >= _TRUNCATED:
+        orders = min(images, _reflections(smallest, most, tolerance) + 1)
+    contour_tilt, path_tilt = _interface_tilts(contrast)
+    narrow, demand = math.log(1 / min(smallest, math.pi / 2)), 1.5 - math.log(tolerance)
+    scale = contour_tilt / _CLEAR_TILTS[0]
+    reach = demand + 2 + 2.6 * narrow
+    if visible is not None:
+        reach = min(reach, (reach - math.log(max(visible, 1e-30))) / 2)
+    contour = Resolution(
+        step=scale * 4.0 / (demand + 3 + max(narrow, 0)),
+        reach=float(np.ceil(reach)),
+        extent=demand + 2,
+        smallest_angle=smallest,
+        tilt=contour_tilt,
+    )
+    return InterfaceResolution(
+        contour=contour,
+        tilt=path_tilt,
+        step=scale * 3.0 / (demand + 1),
+        reach=(0.4 if scale == 1 else 0.5) * demand + 2,
+        order=math.ceil((demand + 4) * (1 + 0.22 * narrow + 0.1 * narrow**2) / 2.25),
+        images=orders,
+        hits=orders + 1,
+    )
+
+
+_CLEAR_TILTS = 0.35, 0.75
+
+
+HIGHEST = 4.0
+"""The largest index that the work is planned for when it is not known; it matters below 20 degrees only."""
+
+
+def _reflections(angle: float, index: float, tolerance: float) -> int:
+    """After how many reflections in a groove nothing is left of a ray that begins at grazing incidence.
+
+    A narrow groove amplifies what is neglected in an exchange, hence the margin.
+    """
+    cosine = np.sin(np.minimum(angle * np.arange(1, math.ceil(math.pi / 2 / angle) + 1), np.pi / 2))
+    root = np.sqrt(index**2 - 1 + cosine**2)
+    s, p = (cosine - root) / (cosine + root), (index**2 * cosine - root) / (index**2 * cosine + root)
+    left = np.cumprod((s * s + p * p) / 2)
+    few = np.flatnonzero(left < tolerance * _NEGLECTED)
+    return int(few[0]) + 1 if len(few) else math.ceil(math.pi / angle)
+
+
+_NEGLECTED = 1e-5
+_TRUNCATED = math.radians(5.5)
+
+
+def _interface_tilts(contrast: float) -> tuple[float, float]:
+    """Of the contour and of the path of the symbol, which must pass below the branch points of grazing incidence.
+
+    They lie at t = ln √(1 + sin²ψ / (n² - 1)) + iπ/2 and come closer to a tilted path as n → 1.
+    """
+    if contrast >= _CONTRASTS[0]:
+        return _CLEAR_TILTS
+    branch = math.atan(math.pi / math.log1p(1 / (contrast * (2 + contrast))))
+    path = 0.75 * math.tanh(0.8 * branch / 0.75)
+    return 0.467 * path, path
 
 
 def panel_order(tolerance: float) -> int:

@@ -13,11 +13,9 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Inexact
 
 from vcavity_jax.directions import panel_share
-from vcavity_jax.fresnel import amplitudes, permittivity_contrast, power
+from vcavity_jax.fresnel import Jones, amplitudes, permittivity_contrast, power, turned
 from vcavity_jax.safe import elementwise_forward, safe_divide, safe_hypot
 from vcavity_jax.scene import Polarization
-
-Jones = tuple[Inexact[Array, "..."], ...]
 
 
 class Trap(NamedTuple):
@@ -83,10 +81,7 @@ def _reflect(
     scale = 1 / safe_hypot(across, normal)
     q1 = ((normal * cosine - across * sine) * scale).astype(coupling.dtype)
     q2 = (-along * incidence * scale).astype(coupling.dtype)
-    j11, j12, j21, j22 = state
-    k1, k2 = coupling * q1, coupling * q2
-    t1, t2 = q1 * j11 + q2 * j21, q1 * j12 + q2 * j22
-    return r_s * j11 + k1 * t1, r_s * j12 + k1 * t2, r_s * j21 + k2 * t1, r_s * j22 + k2 * t2
+    return turned(state, r_s, coupling, q1, q2)
 
 
 def _initial(model: Polarization, contrast: Inexact[Array, "..."], shape: tuple[int, ...]) -> Jones:
@@ -213,3 +208,36 @@ def hemispherical_directional(
     if trap is not None:
         trap = trap._replace(across=sides * trap.across)
     return jnp.sum(_side(model, angle, along, sides * across, normal, contrast, trap), axis=0)
+
+
+def glint(
+    angle: Float[Array, "..."],
+    source: Trap,
+    along: Float[Array, "..."],
+    across: Float[Array, "..."],
+    normal: Float[Array, "..."],
+    index: Inexact[Array, "..."],
+    model: Polarization,
+) -> Float[Array, "..."]:
+    """Reflectance factor of mirrors in the light of a small disk: the paths that lead to it, over its irradiance.
+
+    Args:
+        angle: dihedral angle, radians.
+        source: the disk.
+        along: e_x of the view (along the fold).
+        across: e_y (across the grooves).
+        normal: e_z, ≥ 0.
+        index: n + ik; real only if n ≥ 1.
+        model: treatment of polarization.
+    """
+    arguments = angle, along, across, normal, index, model
+    met = hemispherical_directional(*arguments) - hemispherical_directional(*arguments, trap=source)
+    return met / (jnp.sin(source.half_angle) ** 2 * source.normal)
+
+
+def disk_of(
+    along: Float[Array, ""], across: Float[Array, ""], normal: Float[Array, ""], solid_angle: Float[Array, ""]
+) -> Trap:
+    """A disk around a direction, of a solid angle in steradians."""
+    # ω = 4π sin²(δ/2), accurate for small disks.
+    return Trap(along, across, normal, 2 * jnp.arcsin(jnp.sqrt(solid_angle / (4 * jnp.pi))))

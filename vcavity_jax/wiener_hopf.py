@@ -31,12 +31,14 @@ class Resolution:
         reach: end of the contour; what lies beyond decays as exp(-reach) relative to a rim layer.
         extent: largest Re τ times dihedral angle at which the symbol is not negligible.
         smallest_angle: the smallest dihedral angle that this resolution is made for, radians.
+        tilt: of the contour, radians; the symbol must be analytic in the sector that it sweeps.
     """
 
     step: float
     reach: float
     extent: float
     smallest_angle: float
+    tilt: float = 0.45
 
 
 class Contour(NamedTuple):
@@ -52,16 +54,16 @@ class Contour(NamedTuple):
     cauchy: np.ndarray
 
 
-_TILT, SYMBOL_TILT, SYMBOL_END = 0.45, 0.9, 30.0
+SYMBOL_TILT, SYMBOL_END = 0.9, 30.0
 
 
 @lru_cache(maxsize=64)
 def contour(resolution: Resolution) -> Contour:
-    """The contour τ = sinh(x - 0.45 i)/2 and its Cauchy kernel."""
-    x = np.arange(int(np.ceil(resolution.reach / resolution.step)) + 1) * resolution.step - 1j * _TILT
+    """The contour τ = sinh(x - i tilt)/2 and its Cauchy kernel."""
+    x = np.arange(int(np.ceil(resolution.reach / resolution.step)) + 1) * resolution.step - 1j * resolution.tilt
     tau, weight = np.sinh(x) / 2, resolution.step * np.cosh(x) / 2
     weight[0] /= 2
-    end = np.arccosh(max(resolution.extent / (np.cos(_TILT) / 2 * resolution.smallest_angle), 1.1))
+    end = np.arccosh(max(resolution.extent / (np.cos(resolution.tilt) / 2 * resolution.smallest_angle), 1.1))
     inner = min(int(np.ceil(end / resolution.step)), len(tau))
     here, mirrored = -1j / (tau[:, None] + tau), -1j / (tau[:, None] - tau.conj())
     both, difference = here + mirrored, here - mirrored
@@ -76,7 +78,8 @@ def complex_expm1(x: Float[Array, "..."], y: Float[Array, "..."]) -> Complex[Arr
     return lax.complex(growth * (1 - turn) - turn, (growth + 1) * 2 * sine * cosine)
 
 
-def _constant(values: np.ndarray, like: Array) -> Array:
+def constant(values: np.ndarray, like: Array) -> Array:
+    """Known numbers as an array of the dtype of another."""
     return jnp.asarray(values, like.dtype)
 
 
@@ -108,14 +111,21 @@ def factorize(
         angle: dihedral angle, radians; the symbol decays as exp(-angle τ).
         resolution: of the contour.
     """
-    grid = contour(resolution)
-    tau, weight = _constant(grid.tau, complement), _constant(grid.weight, complement)
-    inner_tau, inner_weight = tau[: grid.inner], weight[: grid.inner]
     factor = (1 - kappa).astype(complement.dtype) + kappa.astype(complement.dtype) * complement[:, None]
+    return factorize_symbol(factor, angle, resolution)
+
+
+def factorize_symbol(
+    factor: Complex[Array, "inner kappa"], angle: Float[Array, ""], resolution: Resolution
+) -> Factorization:
+    """The same for 1 - κ k̂ itself at the inner nodes of the contour."""
+    grid = contour(resolution)
+    tau, weight = constant(grid.tau, factor), constant(grid.weight, factor)
+    inner_tau, inner_weight = tau[: grid.inner], weight[: grid.inner]
     logarithm = jnp.log(factor)
     weighted = logarithm * inner_weight[:, None]
     rim = jnp.exp(-jnp.sum(weighted / (inner_tau - 0.5j)[:, None], axis=0).imag / jnp.pi)
-    exponent = _over_both_halves(grid, weighted) / (2 * jnp.pi)
+    exponent = over_both_halves(grid, weighted) / (2 * jnp.pi)
     exponent = exponent.at[: grid.inner].add(-logarithm)
     edge = (weight / (2 * jnp.pi * (0.5 + 1j * tau)))[:, None] * complex_expm1(exponent.real, exponent.imag)
     whole = (inner_weight / (2 * jnp.pi * (0.25 + inner_tau * inner_tau)))[:, None] * (1 - factor) / factor
@@ -131,15 +141,17 @@ def log_distance(depth: Float[Array, "..."], visible: Float[Array, "..."]) -> Fl
     return jnp.where(hidden, jnp.minimum(jnp.where(near_rim, from_rim, -jnp.log(safe)), FULL), FULL)
 
 
-def _decay(tau: Array, distance: Float[Array, ""]) -> Complex[Array, " nodes"]:
+def decay(tau: Array, distance: Float[Array, "..."]) -> Complex[Array, "... nodes"]:
     """exp(-(1/2 + iτ) a) - 1 over the contour."""
     return complex_expm1(-(0.5 - tau.imag) * distance, -tau.real * distance)
 
 
-def _step(tau: Array, distance: Float[Array, ""], visible: Float[Array, ""]) -> Complex[Array, " nodes"]:
+def step_transform(
+    tau: Array, distance: Float[Array, "..."], visible: Float[Array, "..."]
+) -> Complex[Array, "... nodes"]:
     """Transform of a step, (1 - y^(1/2 + iτ)) / (1 - y); at the rim (y = 1) its limit 1/2 + iτ."""
     rim = visible == 0
-    quotient = -_decay(tau, distance) / jnp.where(rim, jnp.ones_like(visible), visible).astype(tau.dtype)
+    quotient = -decay(tau, distance) / jnp.where(rim, jnp.ones_like(visible), visible).astype(tau.dtype)
     return jnp.where(rim, 0.5 + 1j * tau, quotient)
 
 
@@ -156,7 +168,7 @@ def step_mean(
         visible: 1 - y.
         resolution: the one of ``factors``.
     """
-    tau = _constant(contour(resolution).tau, factors.edge)
+    tau = constant(contour(resolution).tau, factors.edge)
     rim = visible == 0
     growth = complex_expm1((0.5 + tau.imag) * distance, -tau.real * distance)
     scale = jnp.exp(-distance) / jnp.where(rim, jnp.ones_like(visible), visible)
@@ -169,12 +181,12 @@ def edge_field(
 ) -> Complex[Array, "nodes kappa"]:
     """The edge correction of one step as a function on the contour; pair it with another step's transform."""
     grid = contour(resolution)
-    tau = _constant(grid.tau, factors.edge)
-    weighted = _step(tau, distance, visible)[:, None] * factors.edge
-    return factors.edge * _over_both_halves(grid, weighted)
+    tau = constant(grid.tau, factors.edge)
+    weighted = step_transform(tau, distance, visible)[:, None] * factors.edge
+    return factors.edge * over_both_halves(grid, weighted)
 
 
-def _over_both_halves(grid: Contour, weighted: Complex[Array, "n kappa"]) -> Complex[Array, "nodes kappa"]:
+def over_both_halves(grid: Contour, weighted: Complex[Array, "n kappa"]) -> Complex[Array, "nodes kappa"]:
     """Σ weighted_l / (i(τ_l + τ_m)) over both halves of the contour, for given values on the first nodes."""
     count, nodes = weighted.shape[0], len(grid.tau)
     kernel = np.concatenate([grid.cauchy[:, :count], grid.cauchy[:, nodes : nodes + count]], axis=1)
@@ -200,9 +212,9 @@ def step_step(
         resolution: the one of ``factors``.
     """
     grid = contour(resolution)
-    tau = _constant(grid.tau, factors.edge)
+    tau = constant(grid.tau, factors.edge)
     inner = tau[: grid.inner]
-    edge = 2 * (_step(tau, *second) @ field).real
+    edge = 2 * (step_transform(tau, *second) @ field).real
     order = first[0] >= second[0]
     deep = tuple(jnp.where(order, a, b) for a, b in zip(first, second, strict=True))
     near = tuple(jnp.where(order, b, a) for a, b in zip(first, second, strict=True))
@@ -213,8 +225,8 @@ def step_step(
     both_ways = (_line(inner, a, b, near[1]) + _line(-inner, a, b, near[1])) / 2
     line = jnp.where(even, both_ways, _line(inner, deep[0], near[0], near[1]))
     touching = deep[0] < 1e-7 * factors.angle
-    line = jnp.where(touching, 0.25 + inner * inner, line / _nonzero(deep[1]).astype(tau.dtype))
-    return 1 / _nonzero(deep[1]) + 2 * (line @ factors.whole).real - edge
+    line = jnp.where(touching, 0.25 + inner * inner, line / nonzero(deep[1]).astype(tau.dtype))
+    return 1 / nonzero(deep[1]) + 2 * (line @ factors.whole).real - edge
 
 
 def _line(
@@ -226,7 +238,7 @@ def _line(
     difference = jnp.expm1(-near / 2).astype(tau.dtype) - complex_expm1(tau.imag * near, -tau.real * near)
     rim = visible == 0
     width = jnp.where(rim, jnp.ones_like(visible), visible).astype(tau.dtype)
-    return _step(tau, near, visible) + passed * jnp.where(rim, -0.5 + 1j * tau, difference / width)
+    return step_transform(tau, near, visible) + passed * jnp.where(rim, -0.5 + 1j * tau, difference / width)
 
 
 def step_response(
@@ -246,7 +258,7 @@ def step_response(
         resolution: the one of ``factors``.
     """
     grid = contour(resolution)
-    tau = _constant(grid.tau, factors.edge)
+    tau = constant(grid.tau, factors.edge)
     inner = tau[: grid.inner]
     shadow, visible = step
     growth = jnp.exp(distance / 2)
@@ -259,9 +271,35 @@ def step_response(
     outward = (0.5 + 1j * inner) * jnp.exp(lax.complex(inner.imag * distance, -inner.real * distance))
     inward = across * jnp.where(dark, 0.5 + 1j * inner, 0.5 - 1j * inner)
     line = 2 * growth * ((outward - inward) @ factors.whole).real
-    return (jnp.where(dark, jnp.zeros_like(line), jnp.ones_like(line)) + line) / _nonzero(visible) - edge
+    return (jnp.where(dark, jnp.zeros_like(line), jnp.ones_like(line)) + line) / nonzero(visible) - edge
 
 
-def _nonzero(value: Float[Array, ""]) -> Float[Array, ""]:
+def nonzero(value: Float[Array, "..."]) -> Float[Array, "..."]:
     """A width below which the mean stops growing: it is infinite only where light and view both graze."""
     return jnp.maximum(value, jnp.asarray(float(jnp.finfo(value.dtype).eps) ** 0.75, value.dtype))
+
+
+def mean_exchange(
+    symbol: Complex[Array, " inner"], kappa: Float[Array, " kappa"], resolution: Resolution
+) -> Float[Array, " kappa"]:
+    """(G - 1) / κ, κ from 0 to 1; smooth down to κ = 0."""
+    grid = contour(resolution)
+    tau, weight = (constant(part[: grid.inner], symbol) for part in (grid.tau, grid.weight))
+    kappa = jnp.maximum(kappa, float(jnp.finfo(kappa.dtype).tiny) ** 0.5)
+    scaled = kappa.astype(symbol.dtype) * symbol[:, None]
+    # ln(1 - κk̂), accurate for small κ too.
+    excess = scaled.real * (scaled.real - 2) + scaled.imag * scaled.imag
+    logarithm = lax.complex(jnp.log1p(excess) / 2, -jnp.arctan2(scaled.imag, 1 - scaled.real))
+    summed = jnp.sum(logarithm * (weight / (tau - 0.5j))[:, None], axis=0).imag
+    return jnp.expm1(-2 * summed / jnp.pi) / kappa
+
+
+def edge_between(
+    first: Complex[Array, "nodes kappa"], second: Complex[Array, "nodes kappa"], resolution: Resolution
+) -> Float[Array, " kappa"]:
+    """The edge correction between two lights or views, given by their transforms times ``Factorization.edge``.
+
+    Both are given on the whole contour or on its first nodes.
+    """
+    field = over_both_halves(contour(resolution), second)
+    return 2 * jnp.sum((first * field[: len(first)]).real, axis=0)
