@@ -4,8 +4,10 @@
 
 prints its values beside vcavity's. Diffusing panels: 32 facets per panel and one linear system of 64 unknowns
 per wavelength [SaintPierre2020, chapter 3]. Mirror-like panels: 100 entry positions across the aperture, each
-followed through all its reflections [chapter 4]. Errors of print are corrected, so that what remains is the
-error of the sampling; docs/errata.md lists them. Angles in radians, fractions out.
+followed through all its reflections [chapter 4]. Diffusing panels under an interface: 32 facets per panel, and at
+most one mirror reflection on the way in, between the panels and on the way out [chapter 5]. Errors of print are
+corrected, so that what remains is the error of the method; docs/errata.md lists them. Angles in radians,
+fractions out.
 """
 
 import numpy as np
@@ -149,6 +151,74 @@ def specular(angle: float, index: Complex, view: Direction, entries: tuple[Real,
     return weight @ np.sum(np.abs(jones) ** 2, axis=(-2, -1)) / 2  # eq. 4.23 and 4.28
 
 
+def interface(cosine: Real, index: float) -> tuple[Real, Real]:
+    """Unpolarized reflectance and transmittance of an interface for light from the air (eq. 2.22 to 2.26)."""
+    r_p, r_s = amplitudes(np.maximum(cosine, 1e-12), np.asarray(index, complex))
+    reflected = (np.abs(r_p) ** 2 + np.abs(r_s) ** 2) / 2
+    return reflected, 1 - reflected
+
+
+def internal_reflectance(index: float) -> float:
+    """r_i = 1 - t₁₂ / n² of diffuse light (eq. 2.39), which chapter 5 refers to by another number."""
+    node, weight = np.polynomial.legendre.leggauss(48)
+    s = (node + 1) / 2  # the cosine is s², so that grazing incidence is smooth
+    return 1 - weight @ (2 * s**3 * interface(s**2, index)[1]) / index**2
+
+
+def interfaced_matrix(angle: float, index: float, y: Real) -> Real:
+    """K' of both panels: from one to the other, and by one reflection from each to itself (eq. 5.10, 5.12).
+
+    From the center of each facet to the strips, each integrated with 4 nodes, and 12 over the tilt of the rays
+    along the fold: more would change the result by a 400th of the error of the facets and of one reflection.
+    """
+    strip, strip_weight = np.polynomial.legendre.leggauss(4)
+    tilt, tilt_weight = np.polynomial.legendre.leggauss(12)
+    tilt, tilt_weight = np.pi / 2 * tilt, np.pi / 2 * tilt_weight
+    center, u = y[:, None, None], y[:, None] + strip / (2 * len(y))
+    blocks = []
+    for k in (0, 1):  # reflections
+        psi = (k + 1) * angle
+        distance = np.sqrt(center**2 + u**2 - 2 * center * u * np.cos(psi))
+        passed = np.cos(tilt) ** 2 * (psi < np.pi)
+        for j in range(k + 2):  # eq. 5.13
+            cosine = (center * np.sin(j * angle) + u * np.sin((k + 1 - j) * angle)) / distance
+            reflected, entered = interface(cosine[..., None] * np.cos(tilt), index)
+            passed = passed * (reflected if 0 < j <= k else entered)
+        kernel = center * u * np.sin(psi) ** 2 / distance**3 * (passed @ tilt_weight)
+        blocks.append(kernel @ strip_weight / (2 * len(y) * index**2))
+    across, same = blocks
+    return np.block([[same, across], [across, same]])
+
+
+def interfaced(angle: float, reflectance: Real, index: float) -> Real:
+    """Radiance factor of a groove of diffusing panels under an interface, frontal light and view, no glint.
+
+    Args:
+        angle: dihedral angle.
+        reflectance: intrinsic reflectance ρ, one per wavelength, shape (L,).
+        index: refractive index n of the interface.
+
+    Returns:
+        Mean over the facets, shape (L,).
+    """
+    y = (np.arange(FACETS) + 0.5) / FACETS
+    (reflected, entered), (_, second) = (interface(np.sin(np.asarray(a)), index) for a in (angle / 2, 1.5 * angle))
+    irradiance = np.full(2 * FACETS, np.sin(angle / 2) * entered)  # eq. 5.4
+    leaving = entered * np.eye(2 * FACETS)  # eq. 5.18
+    if 1.5 * angle < np.pi:
+        limit = min(np.sin(angle / 2) / np.sin(1.5 * angle), 1)  # eq. 5.7
+        lit = np.sin(1.5 * angle) * reflected * second * (y < limit)  # eq. 5.6, with the angles in the other order
+        irradiance += np.concatenate([lit, lit])
+        facet = np.arange(FACETS)
+        behind = (limit * y * FACETS).astype(int)  # eq. 5.20, by the facet that is seen
+        for seen, source in ((facet, FACETS + behind), (FACETS + facet, behind)):
+            leaving[seen, source] += reflected * second  # eq. 5.19
+    ratio = (reflectance / (1 - internal_reflectance(index) * reflectance))[:, None]  # eq. 5.1
+    system = np.eye(2 * FACETS) - ratio[..., None] / np.pi * interfaced_matrix(angle, index, y)
+    exitance = ratio * np.linalg.solve(system, irradiance[:, None])[..., 0]  # eq. 5.16
+    return exitance @ leaving.mean(axis=0) / index**2  # eq. 5.21 and 5.23
+
+
 if __name__ == "__main__":
     import jax
 
@@ -159,7 +229,7 @@ if __name__ == "__main__":
     oblique = np.deg2rad(35.0), np.deg2rad(30.0)
     r, n = np.array([0.5, 0.93]), np.array([0.3239 + 2.5972j, 4.077 + 0.028j])
 
-    def ours(material: vc.Lambertian | vc.Specular, light: vc.Diffuse | vc.Directional, view: Direction) -> Real:
+    def ours(material: vc.scene.Material, light: vc.scene.Illumination, view: Direction) -> Real:
         return np.asarray(vc.reflectance_factor(vc.Scene(vc.VGrooves(groove), material, light, vc.View(*view))))
 
     frontal = 0.0, 0.0
@@ -176,6 +246,10 @@ if __name__ == "__main__":
         "mirrors (gold, silicon at 550 nm), view 35°, 30°": (
             specular(groove, n, oblique),
             ours(vc.Specular(n), vc.Diffuse(), oblique),
+        ),
+        "diffusing under an interface of n = 1.5, frontal light and view": (
+            interfaced(groove, r, 1.5),
+            ours(vc.InterfacedLambertian(r, 1.5), vc.Directional(*frontal), frontal),
         ),
     }
     print("groove of 45°: thesis's recipe | vcavity")

@@ -11,14 +11,24 @@ from scipy.special import gammaincc, stdtrit  # type: ignore[import-untyped]
 import vcavity_jax as vc
 from fitting.problem import Problem
 from fitting.result import Estimate, Minimum
+from vcavity_jax.planning import interfaced_panel
 
 WEAK = 0.05
 """Smallest singular value of the scaled Jacobian below which parameters are hardly told apart."""
 
 SINGULAR = 1e-7
-# Roughness below which a matte surface looks flat to 0.0025, and a mirror seen from the front to 0.0005.
+# Roughness below which a matte surface, or an interfaced one seen from the front, looks flat to 0.0025, and a
+# mirror seen from the front to 0.0005.
 _FLAT: dict[type, tuple[float, float]] = {vc.BeckmannGrooves: (0.1, 0.2), vc.GaussianGrooves: (0.14, 0.24)}
 _BAD_FIT = 1e-3
+_ONE_IN_A_THOUSAND = 3.09
+_ROUNDING = 1e-5
+_ADVICE: dict[type, str] = {
+    vc.Lambertian: "; if the sample is glossy, varnished or printed, model its interface: "
+    "vcavity_jax.InterfacedLambertian, or --material interfaced"
+}
+"""What else to try if a material does not describe the data."""
+
 _LIKELIHOOD_95 = 3.841458820694124
 
 
@@ -86,6 +96,13 @@ def p_value(chi_square: float, degrees_of_freedom: int) -> float:
     return float(gammaincc(degrees_of_freedom / 2, chi_square / 2)) if degrees_of_freedom > 0 else math.nan
 
 
+def describes_data(chi_square: float, degrees_of_freedom: int, uncertainty_estimated: bool) -> bool | None:
+    """Whether a misfit is one that a true model may have; None if that cannot be tested."""
+    if uncertainty_estimated or degrees_of_freedom == 0:
+        return None
+    return p_value(chi_square, degrees_of_freedom) >= _BAD_FIT
+
+
 def find_warnings(
     problem: Problem,
     estimates: dict[str, Estimate],
@@ -93,7 +110,7 @@ def find_warnings(
     information: LocalInformation,
     open_names: Sequence[str],
     chi_square: float,
-    rms_misfit: float,
+    residuals: Float[np.ndarray, "d l"],
     uncertainty_estimated: bool,
 ) -> tuple[str, ...]:
     """Every reason to doubt a fit, one sentence each.
@@ -105,10 +122,10 @@ def find_warnings(
         information: at the best fit.
         open_names: parameters whose profile does not close within the allowed range.
         chi_square: at the best fit.
-        rms_misfit: root mean square of the residuals.
+        residuals: measured less predicted, NaN where missing.
         uncertainty_estimated: sigma is not known but estimated.
     """
-    found = _fit_quality(problem, chi_square, rms_misfit, uncertainty_estimated)
+    found = _fit_quality(problem, residuals, chi_square, uncertainty_estimated)
     found += _blind_spots(problem, estimates)
     if len(minima) > 1:
         found.append(
@@ -137,9 +154,24 @@ def find_warnings(
     return tuple(found)
 
 
-def _fit_quality(problem: Problem, chi_square: float, rms_misfit: float, uncertainty_estimated: bool) -> list[str]:
+def go_together(residuals: Float[np.ndarray, "d l"]) -> bool:
+    """Whether residuals at neighboring wavelengths are too much alike for noise, at one in a thousand.
+
+    Their correlation is compared with that of independent values. Misfits of the size of rounding say nothing.
+    """
+    products = residuals[:, 1:] * residuals[:, :-1]
+    pairs, power = np.sum(np.isfinite(products)), np.nanmean(residuals**2)
+    if not pairs or power < _ROUNDING**2:
+        return False
+    return bool(np.nansum(products) > _ONE_IN_A_THOUSAND * np.sqrt(pairs) * power)
+
+
+def _fit_quality(
+    problem: Problem, residuals: Float[np.ndarray, "d l"], chi_square: float, uncertainty_estimated: bool
+) -> list[str]:
     found = []
-    dof = problem.degrees_of_freedom
+    dof, rms_misfit = problem.degrees_of_freedom, np.sqrt(np.nanmean(residuals**2))
+    advice = _ADVICE.get(type(problem.scene.material), "")
     if dof == 0:
         found.append("no degree of freedom is left: any model would fit, so that this one cannot be tested")
     elif uncertainty_estimated:
@@ -147,10 +179,16 @@ def _fit_quality(problem: Problem, chi_square: float, rms_misfit: float, uncerta
             f"the measurement states no uncertainty: {rms_misfit:.2g} is estimated from the residuals, as if "
             "the model were right; give a standard uncertainty to test it"
         )
-    elif p_value(chi_square, dof) < _BAD_FIT:
+        if go_together(residuals):
+            found.append(
+                "the residuals are not noise, because neighboring wavelengths go together: the model describes "
+                f"this spectrum only to about {rms_misfit:.2g}; standard errors are not to be trusted{advice}"
+            )
+    elif not describes_data(chi_square, dof, uncertainty_estimated):
         found.append(
             f"the model does not describe this spectrum: chi-square per degree of freedom "
-            f"{chi_square / dof:.2g}, rms misfit {rms_misfit:.2g}; standard errors are not to be trusted"
+            f"{chi_square / dof:.2g}, rms misfit {rms_misfit:.2g}; values and standard errors are not to be "
+            f"trusted{advice}"
         )
     values, weights = np.asarray(problem.data.values), np.asarray(problem.data.weights)
     beyond = (values - 1) * weights > 3
@@ -193,6 +231,7 @@ def _blind_spots(problem: Problem, estimates: dict[str, Estimate]) -> list[str]:
     """What the geometry cannot see of what is asked of it."""
     scene = problem.scene
     shiny = isinstance(scene.material, vc.Specular)
+    matte = not shiny and interfaced_panel(scene.material) is None
     # Light or view averages over the hemisphere: which of them does not matter, by reciprocity.
     averaged = isinstance(scene.illumination, vc.Diffuse) or problem.measurement.hemispherical
     known = _known_directions(problem)
@@ -201,9 +240,9 @@ def _blind_spots(problem: Problem, estimates: dict[str, Estimate]) -> list[str]:
     if known is not None:
         polar, azimuth = known
         section = np.abs(np.arctan2(np.sin(polar) * np.cos(azimuth), np.cos(polar)))
-        if problem.nonlinear and (section < 1e-6).all() and (np.abs(polar) > 1e-6).any():
+        if matte and problem.nonlinear and (section < 1e-6).all() and (np.abs(polar) > 1e-6).any():
             found.append(
-                "all directions lie along the grooves (tan θ' = tan θ cos φ = 0): they tell little more about "
+                "all directions lie along the grooves (tan θ' = tan θ cos φ = 0): they tell no more about "
                 "the grooves than one frontal view; add directions across them"
             )
         angle = None if problem.is_angle is None else estimates[problem.nonlinear[problem.is_angle].name].value
@@ -216,7 +255,8 @@ def _blind_spots(problem: Problem, estimates: dict[str, Estimate]) -> list[str]:
     rough = estimates.get("roughness")
     if rough is not None and averaged and isinstance(scene.surface, tuple(_FLAT)):
         matte_limit, mirror_limit = _FLAT[type(scene.surface)]
-        limit = (mirror_limit if frontal else 0.0) if shiny else matte_limit
+        # Whatever is glossy changes with its roughness if it is seen at grazing angles.
+        limit = (mirror_limit if shiny else matte_limit) if matte or frontal else 0.0
         if rough.value < limit:
             found.append(
                 f"roughness {rough.value:.2g} is below {limit}, where the reflectance no longer depends on "

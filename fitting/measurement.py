@@ -3,7 +3,7 @@
 import dataclasses
 from dataclasses import dataclass, field
 from os import PathLike, fspath
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float64
@@ -194,37 +194,42 @@ _ARRAYS = ("wavelengths_nm", "polar", "azimuth", "reflectance_factor", "standard
 
 
 def read_spectrum(
-    path: str | PathLike[str], *, column: str | None = None, reflectance_unit: str | None = None
+    path: str | PathLike[str],
+    *,
+    column: str | None = None,
+    reflectance_unit: str | None = None,
+    quantity: Literal["reflectance", "transmittance"] = "reflectance",
 ) -> tuple[Float64[np.ndarray, " wavelengths"], Float64[np.ndarray, " wavelengths"], dict[str, str]]:
-    """Read the reflectance spectrum of a flat sample (columns `wavelength_nm, reflectance`).
+    """Read a spectrum: the reflectance of a flat sample, or the transmittance of a layer.
 
-    The file may also be a bare two-column spectrum or a table of samples. An uncertainty in it is
-    checked and not returned.
+    Its columns are `wavelength_nm, reflectance` or, for a layer, `wavelength_nm, transmittance`. The file may
+    also be a bare two-column spectrum or a table of samples. An uncertainty in it is checked and not returned.
 
     Args:
         path: the file.
         column: which sample of a table of samples to take.
         reflectance_unit: "fraction" or "percent", for a file that does not declare its unit.
+        quantity: what is wanted. The values of a layer may also stand in a column `reflectance`.
 
     Returns:
-        Wavelengths in nm, shape (L,), strictly increasing; reflectance as a fraction, shape (L,); metadata.
+        Wavelengths in nm, shape (L,), strictly increasing; values as fractions, shape (L,); metadata.
 
     Raises:
         OSError: the file is missing, a directory or not readable.
         ValueError: the file is not as expected, has several directions, or lacks a value: a model
             has no use for a gap, and none is filled here.
     """
-    contents = native.read(path, column=column, reflectance_unit=reflectance_unit)
+    contents = native.read(path, column=column, reflectance_unit=reflectance_unit, quantity=quantity)
     if contents.polar.size > 1:
         raise ValueError(f"{fspath(path)}:1: {contents.polar.size} directions; expected one spectrum")
-    reflectance = contents.reflectance_factor[0]
-    if np.isnan(reflectance).any():
-        gap = contents.wavelengths_nm[np.argmax(np.isnan(reflectance))]
+    values = contents.reflectance_factor[0]
+    if np.isnan(values).any():
+        gap = contents.wavelengths_nm[np.argmax(np.isnan(values))]
         raise ValueError(
-            f"{fspath(path)}:1: no reflectance at {gap:g} nm; expected a value in every row: "
+            f"{fspath(path)}:1: no {quantity} at {gap:g} nm; expected a value in every row: "
             "measure it or delete the row"
         )
-    return contents.wavelengths_nm, reflectance, contents.metadata
+    return contents.wavelengths_nm, values, contents.metadata
 
 
 def _refuse(name: str, array: np.ndarray, bad: np.ndarray, expected: str) -> None:

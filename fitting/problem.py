@@ -20,7 +20,8 @@ import vcavity_jax as vc
 from fitting.measurement import Measurement
 from fitting.parameters import Parameter
 from fitting.programs import CHUNK, Data, Programs, programs_for
-from vcavity_jax.resolution import NARROWEST
+from vcavity_jax.planning import interfaced_panel
+from vcavity_jax.resolution import INTERFACED_NARROWEST, NARROWEST
 
 MOST_NONLINEAR = 3
 _FIRST_GUESS = 0.01
@@ -195,13 +196,15 @@ def build(
     roles = tuple(p.role for p in linear)
     scales = tuple(p.scale for p in nonlinear)
     smallest_angle = None if is_angle is None else nonlinear[is_angle].lower
-    if smallest_angle is not None and smallest_angle < NARROWEST:
+    smallest_index = _smallest_index(scene, slots, nonlinear)
+    narrowest = NARROWEST if interfaced_panel(scene.material) is None else INTERFACED_NARROWEST
+    if smallest_angle is not None and smallest_angle < narrowest:
         raise ValueError(
             f"dihedral angles from {math.degrees(smallest_angle):g} degrees; expected a lower bound of at least "
-            f"{math.degrees(NARROWEST):g} degrees, the narrowest groove that is modeled"
+            f"{math.degrees(narrowest):g} degrees, the narrowest groove that is modeled"
         )
     programs = programs_for(
-        scene, slots, known, scales, roles, tolerance, smallest_angle, data.values.shape, place
+        scene, slots, known, scales, roles, tolerance, (smallest_angle, smallest_index), data.values.shape, place
     )
     problem = Problem(scene, measurement, nonlinear, linear, is_angle, data, programs, place)
     if problem.degrees_of_freedom < 0:
@@ -237,9 +240,10 @@ def _sorted_parameters(
 
 
 def _check_light(scene: Any, measured: Any) -> None:
-    same = type(scene) is type(measured)
+    mine, theirs = jax.tree.leaves(scene), jax.tree.leaves(measured)
+    same = type(scene) is type(measured) and len(mine) == len(theirs)
     if same:
-        pairs = zip(jax.tree.leaves(scene), jax.tree.leaves(measured), strict=True)
+        pairs = zip(mine, theirs, strict=True)
         same = all(np.allclose(np.asarray(a), np.asarray(b), rtol=0, atol=1e-6) for a, b in pairs)
     if not same:
         raise ValueError(
@@ -285,13 +289,28 @@ def _passed_on(scene: Any, slots: Sequence[int]) -> tuple[int, ...]:
     """Leaves of the scene that are handed to the compiled programs instead of being compiled in.
 
     They are the material's, so that other materials of the same kind need no new compilation. A real index
-    stays in: the model must see that it is at least 1.
+    stays in: the model must see that it is at least 1, and plans its work for it.
     """
-    if isinstance(scene.material, vc.Specular) and not jnp.iscomplexobj(scene.material.index):
-        return ()
-    marks = jax.tree.map(lambda _: _Mark(), scene.material)
-    leaves = enumerate(jax.tree.leaves(eqx.tree_at(lambda s: s.material, scene, marks)))
-    return tuple(i for i, leaf in leaves if isinstance(leaf, _Mark) and i not in slots)
+    return tuple(
+        i
+        for i, (names, leaf) in enumerate(_named_leaves(scene))
+        if names[0] == "material" and i not in slots and not (names[-1] == "index" and not jnp.iscomplexobj(leaf))
+    )
+
+
+def _named_leaves(scene: Any) -> list[tuple[tuple[str, ...], Any]]:
+    """The leaves in the order of ``jax.tree.leaves``, each after the names that lead to it."""
+    found = jax.tree.leaves_with_path(scene)
+    return [(tuple(str(getattr(key, "name", key)) for key in path), leaf) for path, leaf in found]
+
+
+def _smallest_index(scene: Any, slots: Sequence[int], nonlinear: Sequence[Parameter]) -> float | None:
+    """The least index of an interface that is searched; None if none is."""
+    if interfaced_panel(scene.material) is None:
+        return None
+    leaves = _named_leaves(scene)
+    searched = [p.lower for slot, p in zip(slots, nonlinear, strict=True) if leaves[slot][0][-1] == "index"]
+    return min(searched, default=None)
 
 
 def _recheck(node: Any, prefix: str) -> None:

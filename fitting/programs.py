@@ -193,7 +193,7 @@ def programs_for(
     scales: tuple[str, ...],
     roles: tuple[str, ...],
     tolerance: float,
-    smallest_angle: float | None,
+    smallest: tuple[float | None, float | None],
     shape: tuple[int, ...],
     place: Callable[[Sequence[Any], Sequence[Any]], Any],
 ) -> Programs:
@@ -206,7 +206,7 @@ def programs_for(
         scales: "linear" or "log" for each of them.
         roles: which of "gain" and "offset" are free.
         tolerance: bound on the model's numerical error.
-        smallest_angle: of a free dihedral angle, radians.
+        smallest: dihedral angle, radians, and index of an interface, for each that is free.
         shape: (D, L) of the measurement.
         place: puts free values and those passed on into the scene.
 
@@ -231,7 +231,7 @@ def programs_for(
         scales,
         roles,
         tolerance,
-        smallest_angle,
+        smallest,
         shape,
         str(dtype),
     )
@@ -239,7 +239,8 @@ def programs_for(
         _KEPT.move_to_end(key)
         return _KEPT[key]
 
-    evaluate = partial(vc.reflectance_factor, tolerance=tolerance, smallest_angle=smallest_angle)
+    angle, index = smallest
+    evaluate = partial(vc.reflectance_factor, tolerance=tolerance, smallest_angle=angle, smallest_index=index)
 
     def model(values: Array, others: tuple[Array, ...]) -> Array:
         factor = evaluate(place([values[i] for i in range(len(slots))], others))

@@ -18,6 +18,8 @@ _SIDE = 1e-6
 """Distance from a value, as a share of the range, at which one-sided slopes are taken."""
 
 _UNEVEN = 1.5
+_GOOD = "The best fit of the whole allowed range is found; every parameter is determined."
+_POOR = "The best fit of the whole allowed range is found, but do not trust it:"
 _MOST_KINKS = 20
 """A standard error as wide as so many kinks says little about any of them."""
 
@@ -180,10 +182,15 @@ def _assemble(
     ]
     drawn = {name: (p.values, p.points.chi_square) for name, p in zip(names, profiles, strict=False)}
     drawn |= {p.name: (q.values, q.chi_square) for p, q in zip(problem.linear, linear, strict=True)}
+    describes = identifiability.describes_data(chi_square, problem.degrees_of_freedom, unknown)
     status, message = _status(problem, estimates, open_names, information, bool(found.converged[0]))
+    if describes is False:
+        message = (
+            f"{_POOR if status == 'converged' else message + '; besides,'} the model does not describe the data"
+        )
     lost = int(np.sum(~np.isfinite(found.table.chi_square)))
     doubts = identifiability.find_warnings(
-        problem, estimates, listed, information, open_names, chi_square, rms, unknown
+        problem, estimates, listed, information, open_names, chi_square, residuals, unknown
     )
     if lost:
         doubts += (f"the model gave no number at {lost} of {len(found.table.chi_square)} trial points",)
@@ -203,6 +210,7 @@ def _assemble(
         profiles=drawn,
         rms_misfit=rms,
         uncertainty_estimated=unknown,
+        describes_data=describes,
         warnings=doubts,
         status=status,
         message=message,
@@ -240,4 +248,4 @@ def _status(
         return "not converged", (
             "the polish ran out of steps: raise max_steps, narrow the ranges, or free fewer parameters"
         )
-    return "converged", "The best fit of the whole allowed range is found; every parameter is determined."
+    return "converged", _GOOD

@@ -86,6 +86,9 @@ class FitResult:
         profiles: by name, the parameter's values and the chi-square minimized over all others.
         rms_misfit: root mean square of the residuals.
         uncertainty_estimated: the standard uncertainty was not known, and is estimated from the residuals.
+        describes_data: whether the misfit is what the standard uncertainty lets expect, to one in a thousand. If
+            not, the model is wrong, or the uncertainty too small, and no value can be trusted; None if the fit
+            cannot be tested, because the uncertainty is estimated or no degree of freedom is left.
         warnings: each one sentence.
         status: "converged", "not converged", "at bound" or "not identifiable".
         message: what the status means and what to do.
@@ -106,6 +109,7 @@ class FitResult:
     profiles: dict[str, tuple[np.ndarray, np.ndarray]]
     rms_misfit: float
     uncertainty_estimated: bool
+    describes_data: bool | None
     warnings: tuple[str, ...]
     status: str
     message: str
@@ -177,6 +181,7 @@ class FitResult:
             "status": self.status,
             "message": self.message,
             "identifiable": self.identifiable,
+            "describes_data": self.describes_data,
             "warnings": list(self.warnings),
             "parameters": parameters,
             "correlation": self.correlation,
@@ -235,7 +240,7 @@ def _scene_part(part: Any) -> dict[str, Any]:
             described[field.name] = _scene_part(value)
         elif field.name in ("angle", "polar", "azimuth", "half_angle"):
             described[f"{field.name}_deg"] = np.degrees(np.asarray(value))
-        elif isinstance(value, str | bool):
+        elif isinstance(value, str | bool | None):
             described[field.name] = value
         else:
             array = np.asarray(value)

@@ -17,6 +17,19 @@ PARAMETERS = ("angle", "roughness", "gain", "offset")
 # As in `vcavity_jax.colorimetry`, which a test compares; importing that takes half a second.
 ILLUMINANTS = ("A", "C", "D50", "D55", "D65", "D75", "E", "FL2", "FL7", "FL11")
 OWN_PARAMETER = {"v-grooves": "angle", "beckmann": "roughness", "gaussian": "roughness"}
+MATERIALS = {
+    "specular": ("index", "polarization"),
+    "lambertian": ("reflectance", "reflectance_column", "resample"),
+    "interfaced": (
+        *("reflectance", "reflectance_column", "resample", "index", "polarization"),
+        *("layer", "layer_column", "layer_model", "coverage", "specular"),
+    ),
+}
+"""The options that each material has."""
+
+# Narrow grooves under an interface are costly.
+ANGLE_RANGE = {"specular": (5.0, 180.0), "lambertian": (5.0, 180.0), "interfaced": (10.0, 180.0)}
+"""Where an angle is searched if nothing else is said, degrees."""
 
 _DESCRIPTION = """\
 Appearance of V-grooved surfaces: from a measured spectrum to the groove's angle or the roughness, and back.
@@ -28,6 +41,7 @@ exit status: 0 converged and identifiable; 1 no trustworthy answer; 2 bad input
 examples:
   vcavity fit gold.csv --material specular --index Au-Johnson
   vcavity fit orange.csv --material lambertian --reflectance flat.csv --free angle --free gain
+  vcavity fit glossy.csv --material interfaced --reflectance below.csv --index 1.5
   vcavity fit blasted.csv --surface beckmann --material specular --index Al-Rakic"""
 
 _PREDICT_EPILOG = """\
@@ -127,7 +141,10 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
         help="hold a parameter: angle=45deg or roughness=0.3",
     )
     what.add_argument(
-        "--angle-range", type=angle_range, metavar="LOW:HIGH", help="degrees to search (default: 5:180)"
+        "--angle-range",
+        type=angle_range,
+        metavar="LOW:HIGH",
+        help="degrees to search (default: 5:180, or 10:180 for interfaced, whose narrow grooves are slow)",
     )
     what.add_argument(
         "--roughness-range", type=positive_range, metavar="LOW:HIGH", help="to search (default: 0.01:3)"
@@ -260,21 +277,24 @@ def _add_scene_options(command: argparse.ArgumentParser) -> None:
         default="v-grooves",
         help="grooves of one angle (default), or of random angles with Beckmann or Gaussian slopes",
     )
-    scene.add_argument("--material", choices=("specular", "lambertian"), required=True)
+    scene.add_argument("--material", choices=tuple(MATERIALS), required=True)
     scene.add_argument(
         "--index",
         metavar="INDEX",
-        help="specular: a table's name (see vcavity materials), a number (1.5, 0.35+2.7j) or a file",
+        help="specular: a table's name (see vcavity materials), a number (1.5, 0.35+2.7j) or a file; "
+        "interfaced: the same of a clear material, without k",
     )
     scene.add_argument(
         "--polarization",
         choices=("full", "unpolarized", "separate"),
-        help="specular: follow the polarization exactly (full, the default), or approximate it",
+        help="follow the polarization exactly (full, the default of specular), or approximate it (unpolarized, "
+        "the default of interfaced; separate, specular only)",
     )
     scene.add_argument(
         "--reflectance",
         metavar="R",
-        help="lambertian: a number from 0 to 1, or the file of a flat sample's spectrum",
+        help="lambertian: a number from 0 to 1, or the file of a flat sample's spectrum; interfaced: that of the "
+        "material below its interface (the intrinsic one), not what a glossy flat sample shows",
     )
     scene.add_argument(
         "--reflectance-column", metavar="NAME", help="the sample to take from a --reflectance table"
@@ -282,7 +302,32 @@ def _add_scene_options(command: argparse.ArgumentParser) -> None:
     scene.add_argument(
         "--resample",
         action="store_true",
-        help="interpolate the --reflectance spectrum linearly where its wavelengths differ",
+        default=None,
+        help="interpolate the spectra of --reflectance and --layer linearly where their wavelengths differ",
+    )
+    clear = command.add_argument_group("the interface (--material interfaced)")
+    clear.add_argument(
+        "--layer",
+        metavar="T",
+        help="transmittance of a colored layer below the interface for one passage: a number from 0 to 1, or a "
+        "file (default: no layer)",
+    )
+    clear.add_argument("--layer-column", metavar="NAME", help="the sample to take from a --layer table")
+    clear.add_argument(
+        "--layer-model",
+        choices=("williams-clapper", "berns"),
+        help="follow the length of each passage through the layer (default), or take all for normal ones",
+    )
+    clear.add_argument(
+        "--coverage",
+        type=share,
+        metavar="A",
+        help="share of the area that the layer covers, in halftone dots: 0 to 1",
+    )
+    clear.add_argument(
+        "--specular",
+        choices=("included", "excluded"),
+        help="whether the light that never enters the material counts (default: included)",
     )
 
 
@@ -309,6 +354,13 @@ def positive(text: str) -> float:
     """A number above 0, at most 1: no reflectance error of interest is larger."""
     value = finite(text)
     return _require(value, 0 < value <= 1, text, "a number above 0 and at most 1")
+
+
+def share(text: str) -> float:
+    """A share, 0 to 1."""
+    value = finite(text)
+    hint = " (did you pass percent?)" if 1 < value <= 100 else ""
+    return _require(value, 0 <= value <= 1, text, f"a share from 0 to 1{hint}")
 
 
 def pixels(text: str) -> int:

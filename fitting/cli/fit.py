@@ -48,11 +48,11 @@ def run(given: argparse.Namespace) -> int:
     else:
         print(result.summary())
         print(*(f"wrote {path}" for path in written), sep="\n")
-    if result.status == "converged" and result.identifiable:
-        return 0
-    sys.stdout.flush()
-    print(f"vcavity: {result.status}: {arguments.one_line(result.message)}", file=sys.stderr)
-    return 1
+    trusted = result.status == "converged" and result.identifiable
+    if not trusted or result.describes_data is False:
+        sys.stdout.flush()
+        print(f"vcavity: {result.status}: {arguments.one_line(result.message)}", file=sys.stderr)
+    return 0 if trusted else 1
 
 
 def _held(given: argparse.Namespace) -> dict[str, float]:
@@ -86,6 +86,7 @@ def _free(given: argparse.Namespace, held: dict[str, float]) -> list[Any]:
         raise ValueError(f"{own} is neither free nor fixed: expected --free {own} or --fix {own}=VALUE")
     if given.no_priors and not {"gain", "offset"} & set(names):
         raise ValueError("--no-priors has no effect: expected --free gain or --free offset with it")
+    ranges["angle"] = given.angle_range or arguments.ANGLE_RANGE[given.material]
     return [_parameter(name, ranges.get(name), given.no_priors) for name in names]
 
 

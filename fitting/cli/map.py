@@ -58,9 +58,11 @@ def _title(given: argparse.Namespace) -> str:
     """A short name of the surface."""
     own = arguments.OWN_PARAMETER[given.surface]
     value = f"α = {np.rad2deg(given.angle):.6g}°" if own == "angle" else f"m = {given.roughness:.6g}"
-    choice = given.index if given.material == "specular" else f"R = {given.reflectance}"
+    known = {"R = ": given.reflectance, "n = ": given.index}
+    named = {symbol: Path(text).name for symbol, text in known.items() if text is not None}
+    choice = named["n = "] if given.material == "specular" else ", ".join(map("".join, named.items()))
     kind = {"v-grooves": "", "beckmann": "Beckmann grooves, ", "gaussian": "Gaussian grooves, "}[given.surface]
-    return f"{kind}{arguments.one_line(Path(choice).name)[-40:]}, {value}"
+    return f"{kind}{arguments.one_line(choice)[-40:]}, {value}"
 
 
 def _targets(given: argparse.Namespace) -> tuple[Path, Path]:

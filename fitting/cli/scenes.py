@@ -4,7 +4,7 @@ import argparse
 import difflib
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +18,8 @@ from vcavity_jax import materials
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _INDEX = re.compile(rf"({_NUMBER})(?:([+-](?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)[ij])?")
+_CLEAR = 1e-5
+"""The k of an interface that is taken for 0: it changes reflectances by 1e-10."""
 
 
 def surface(kind: str, values: dict[str, float]) -> Any:
@@ -43,8 +45,19 @@ def described(given: argparse.Namespace) -> str:
     """What a command computes, in its own words: surface, parameter, material and its optical data."""
     own = arguments.OWN_PARAMETER[given.surface]
     value = f"{np.rad2deg(given.angle):.10g} deg" if own == "angle" else files.number(given.roughness)
-    choice = "index" if given.material == "specular" else "reflectance"
-    return f"{given.surface}, {own} {value}, {given.material}, {choice} {getattr(given, choice)}"
+    words = [given.surface, f"{own} {value}", given.material]
+    words += [f"{name} {option}" for name, option in _optical_data(given).items()]
+    return ", ".join(words)
+
+
+def _optical_data(given: argparse.Namespace) -> dict[str, str]:
+    """The options that say what the material is, by their names, as they were typed."""
+    if given.material != "interfaced":
+        name = "index" if given.material == "specular" else "reflectance"
+        return {name: getattr(given, name)}
+    names = ("reflectance", "index", "polarization", "layer", "layer_model", "coverage", "specular")
+    typed = {name.replace("_", " "): getattr(given, name) for name in names}
+    return {name: str(option) for name, option in typed.items() if option is not None}
 
 
 def light(given: tuple[Any, ...] | None) -> Any:
@@ -77,19 +90,77 @@ def material(given: argparse.Namespace, wavelengths_nm: np.ndarray) -> Any:
         return vc.Specular(jnp.asarray(_index(given.index, wavelengths_nm)), given.polarization or "full")
     if given.reflectance is None:
         raise ValueError(
-            "--material lambertian needs --reflectance: a number from 0 to 1, or a flat sample's file"
+            f"--material {given.material} needs --reflectance: a number from 0 to 1, or the file of a spectrum"
         )
-    return vc.Lambertian(jnp.asarray(_reflectance(given, wavelengths_nm)))
+    reflectance = jnp.asarray(_spectrum(given, "reflectance", wavelengths_nm))
+    if given.material == "lambertian":
+        return vc.Lambertian(reflectance)
+    if given.index is None:
+        raise ValueError("--material interfaced needs --index: that of a clear material, such as 1.5")
+    return vc.InterfacedLambertian(
+        reflectance,
+        jnp.asarray(_clear_index(given.index, wavelengths_nm)),
+        _layer(given, wavelengths_nm),
+        given.polarization or "unpolarized",
+        given.specular != "excluded",
+    )
 
 
 def _refuse_foreign(given: argparse.Namespace) -> None:
     """An option that would have no effect is a mistake: say so."""
-    own = {"specular": ("index", "polarization"), "lambertian": ("reflectance", "reflectance_column")}
-    for owner, names in own.items():
+    owners: dict[str, list[str]] = {}
+    for kind, names in arguments.MATERIALS.items():
         for name in names:
-            if owner != given.material and getattr(given, name) is not None:
-                option = name.replace("_", "-")
-                raise ValueError(f"--{option} belongs to --material {owner}, not to {given.material}")
+            owners.setdefault(name, []).append(kind)
+    for name, kinds in owners.items():
+        if getattr(given, name) is not None:
+            _require_owner(f"--{name.replace('_', '-')}", "material", kinds, given.material)
+    if given.polarization == "separate":
+        _require_owner("--polarization separate", "material", ["specular"], given.material)
+    for name in ("layer_model", "layer_column", "coverage"):
+        if given.layer is None and getattr(given, name) is not None:
+            raise ValueError(f"--{name.replace('_', '-')} has no effect without --layer: expected --layer with it")
+    if given.coverage is not None and given.layer_model is not None:
+        raise ValueError(
+            "--layer-model beside --coverage: a halftone has no such model; expected one of the two options"
+        )
+
+
+def _require_owner(option: str, kind: str, owners: list[str], chosen: str) -> None:
+    """Refuse an option of another surface or material."""
+    if chosen not in owners:
+        raise ValueError(f"{option} belongs to --{kind} {' or '.join(owners)}, not to {chosen}")
+
+
+def _layer(given: argparse.Namespace, wavelengths_nm: np.ndarray) -> Any:
+    """The colored layer below an interface; None without one."""
+    if given.layer is None:
+        return None
+    transmittance = jnp.asarray(_one_if_alike(_spectrum(given, "layer", wavelengths_nm)))
+    if given.coverage is not None:
+        return vc.Halftone(jnp.asarray(given.coverage, float), transmittance)
+    return vc.ColoredLayer(transmittance, given.layer_model or "williams-clapper")
+
+
+def _clear_index(text: str, wavelengths_nm: np.ndarray) -> np.ndarray:
+    """The real index of an interface."""
+    index = _index(text, wavelengths_nm)
+    for what, bad, expected in (
+        ("k", index.imag > _CLEAR, "k = 0: an interface is clear (a metal is --material specular)"),
+        ("n", index.real < 1, "n ≥ 1 for an interface to air"),
+    ):
+        if bad.any():
+            first = int(np.argmax(bad))
+            value = (index.imag if what == "k" else index.real)[first]
+            raise ValueError(
+                f"--index {text}: {what} is {value:g} at {wavelengths_nm[first]:g} nm; expected {expected}"
+            )
+    return _one_if_alike(index.real)
+
+
+def _one_if_alike(values: np.ndarray) -> np.ndarray:
+    """One number for all wavelengths if all have the same: an interface is then computed once."""
+    return np.asarray(values[0]) if (values == values[0]).all() else values
 
 
 def _index(text: str, wavelengths_nm: np.ndarray) -> np.ndarray:
@@ -117,42 +188,52 @@ def _index(text: str, wavelengths_nm: np.ndarray) -> np.ndarray:
     )
 
 
-def _reflectance(given: argparse.Namespace, wavelengths_nm: np.ndarray) -> np.ndarray:
-    """Reflectance of the flat material from a number or a spectrum's file."""
-    text = given.reflectance
+_QUANTITIES: dict[str, Literal["reflectance", "transmittance"]] = {
+    "reflectance": "reflectance",
+    "layer": "transmittance",
+}
+"""What the spectra of the options are."""
+
+
+def _spectrum(given: argparse.Namespace, option: str, wavelengths_nm: np.ndarray) -> np.ndarray:
+    """Reflectance of the material, or transmittance of its layer, from a number or a spectrum's file."""
+    text = getattr(given, option)
     if re.fullmatch(_NUMBER, text.strip()):
         value = float(text)
         if not 0 <= value <= 1:
             hint = ": did you pass percent?" if 1 < value <= 100 else ""
-            raise ValueError(f"--reflectance {text}: expected a fraction from 0 to 1{hint}")
+            raise ValueError(f"--{option} {text}: expected a fraction from 0 to 1{hint}")
+        if getattr(given, f"{option}_column") is not None:
+            raise ValueError(f"--{option}-column has no effect: --{option} {text} is a number, not a file")
         return np.full(wavelengths_nm.shape, value)
+    quantity = _QUANTITIES[option]
     try:
-        flat_nm, flat, _ = read_spectrum(text, column=given.reflectance_column)
+        found_nm, found, _ = read_spectrum(text, column=getattr(given, f"{option}_column"), quantity=quantity)
     except ValueError as error:
-        raise ValueError(str(error).replace("column= one of", "--reflectance-column with one of")) from None
-    outside = (flat < 0) | (flat > 1)
+        raise ValueError(str(error).replace("column= one of", f"--{option}-column with one of")) from None
+    outside = (found < 0) | (found > 1)
     if outside.any():
         first = int(np.argmax(outside))
         raise ValueError(
-            f"{text}: reflectance {flat[first]:g} at {flat_nm[first]:g} nm; expected 0 to 1 for a material"
+            f"{text}: {quantity} {found[first]:g} at {found_nm[first]:g} nm; expected 0 to 1 for a material"
         )
-    place = np.searchsorted(flat_nm, wavelengths_nm).clip(max=flat_nm.size - 1)
-    missing = flat_nm[place] != wavelengths_nm
+    place = np.searchsorted(found_nm, wavelengths_nm).clip(max=found_nm.size - 1)
+    missing = found_nm[place] != wavelengths_nm
     if not missing.any():
-        return flat[place]
-    beyond = (wavelengths_nm < flat_nm[0]) | (wavelengths_nm > flat_nm[-1])
+        return found[place]
+    beyond = (wavelengths_nm < found_nm[0]) | (wavelengths_nm > found_nm[-1])
     if beyond.any():
         raise ValueError(
             f"{text}: wavelength {wavelengths_nm[beyond][0]:g} nm is outside the spectrum's range, "
-            f"{flat_nm[0]:g} nm to {flat_nm[-1]:g} nm; expected the spectrum to cover it "
+            f"{found_nm[0]:g} nm to {found_nm[-1]:g} nm; expected the spectrum to cover it "
             "(choose less with --wavelengths)"
         )
     if not given.resample:
         raise ValueError(
-            f"{text}: no reflectance at {wavelengths_nm[missing][0]:g} nm; expected a value at every "
+            f"{text}: no {quantity} at {wavelengths_nm[missing][0]:g} nm; expected a value at every "
             "wavelength used: add --resample to interpolate linearly"
         )
-    return np.interp(wavelengths_nm, flat_nm, flat)
+    return np.interp(wavelengths_nm, found_nm, found)
 
 
 def require_surface_options(given: argparse.Namespace, values: dict[str, Any]) -> None:
@@ -170,5 +251,5 @@ def require_surface_options(given: argparse.Namespace, values: dict[str, Any]) -
         owners.setdefault(parameter, []).append(kind)
     for option, value in values.items():
         for parameter, kinds in owners.items():
-            if value is not None and parameter in option and given.surface not in kinds:
-                raise ValueError(f"{option} belongs to --surface {' or '.join(kinds)}, not to {given.surface}")
+            if value is not None and parameter in option:
+                _require_owner(option, "surface", kinds, given.surface)

@@ -47,13 +47,20 @@ class Contents:
     metadata: dict[str, str]
 
 
-def read(path: str | PathLike[str], *, column: str | None = None, reflectance_unit: str | None = None) -> Contents:
+def read(
+    path: str | PathLike[str],
+    *,
+    column: str | None = None,
+    reflectance_unit: str | None = None,
+    quantity: str = "reflectance",
+) -> Contents:
     """Read a measurement in one of the native formats; nothing is sorted, clipped, filled or guessed.
 
     Args:
         path: the file.
         column: the sample to take from a table of named samples.
         reflectance_unit: "fraction" or "percent" for a file that does not declare it.
+        quantity: what a spectrum without directions may call its values, besides reflectance.
 
     Returns:
         The checked contents; reflectance as a fraction, angles in radians.
@@ -64,7 +71,7 @@ def read(path: str | PathLike[str], *, column: str | None = None, reflectance_un
     """
     table = read_table(path)
     seen = geometry.of_table(table)
-    names, value_name = _columns(table, column)
+    names, value_name = _columns(table, column, quantity)
     wavelengths = _wavelengths(table, names)
     polar_deg = _angles(table, names, "polar_deg", 90.0)
     azimuth_deg = _angles(table, names, "azimuth_deg", 360.0)
@@ -106,8 +113,8 @@ def read(path: str | PathLike[str], *, column: str | None = None, reflectance_un
     )
 
 
-def _columns(table: TextTable, column: str | None) -> tuple[dict[str, int], str]:
-    """Position of each column in use, and which of them is the reflectance."""
+def _columns(table: TextTable, column: str | None, quantity: str) -> tuple[dict[str, int], str]:
+    """Position of each column in use, and which of them holds the values."""
     line, header = table.header_line, table.header
     if header is None:
         if len(table.rows[0]) != 2:
@@ -126,7 +133,7 @@ def _columns(table: TextTable, column: str | None) -> tuple[dict[str, int], str]
         raise table.error(line, f"missing column 'wavelength_nm'{close}; expected it in the header")
     if len(names) == 1:
         raise table.error(line, "missing column 'reflectance_factor'; the header has only 'wavelength_nm'")
-    if not set(names) & set(_KNOWN[1:]):
+    if not set(names) & {*_KNOWN[1:], quantity}:
         samples = [name for name in header if name != "wavelength_nm"]
         if column in samples:
             return {"wavelength_nm": names["wavelength_nm"], column: names[column]}, column
@@ -134,7 +141,9 @@ def _columns(table: TextTable, column: str | None) -> tuple[dict[str, int], str]
         raise table.error(line, f"{what}; expected column= one of: {', '.join(samples)}")
 
     spectrum = "polar_deg" not in names and "azimuth_deg" not in names
-    value_name = "reflectance" if spectrum and "reflectance_factor" not in names else "reflectance_factor"
+    value_name = "reflectance_factor"
+    if spectrum and value_name not in names:
+        value_name = "reflectance" if "reflectance" in names and quantity not in names else quantity
     expected = ("wavelength_nm", value_name) if spectrum else _TIDY
     for name in header:
         if name not in (*expected, _UNCERTAINTY):
@@ -146,7 +155,7 @@ def _columns(table: TextTable, column: str | None) -> tuple[dict[str, int], str]
         if name not in names:
             raise table.error(line, f"missing column {name!r}; expected {', '.join(expected)}")
     if column is not None and column != value_name:
-        raise table.error(line, f"no column {quoted(column)} to choose; the reflectance is {value_name!r}")
+        raise table.error(line, f"no column {quoted(column)} to choose; the values are {value_name!r}")
     return names, value_name
 
 

@@ -498,6 +498,7 @@ class StandIn:
 
     def __init__(self, status: str = "converged", identifiable: bool = True) -> None:
         self.status, self.identifiable = status, identifiable
+        self.describes_data: bool | None = True
         self.message = "why,\nand what to do"
 
     def __call__(self, scene: vc.Scene, measurement: Measurement, parameters: list, **options: Any) -> Any:
@@ -673,6 +674,15 @@ def test_fit_without_trustworthy_answer_says_why(
     assert out.startswith("{" if option else "angle")
     assert err == f"vcavity: {status}: why, and what to do\n"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fit.json", "fit.png"]
+
+
+@pytest.mark.parametrize(("describes", "said"), [(False, "vcavity: converged: why, and what to do\n"), (None, "")])
+def test_poor_fit_is_told_and_keeps_its_status(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, stand_in: StandIn, describes: bool | None, said: str
+) -> None:
+    stand_in.describes_data = describes
+    assert main(["fit", GOLD, *MIRROR, "--output", str(tmp_path)]) == 0
+    assert capsys.readouterr().err == said
 
 
 @pytest.mark.parametrize(

@@ -80,6 +80,8 @@ def test_unpolarized_products_describe_gold_visibly_worse(gold):
     assert result.chi_square > 3 * gold.chi_square
     assert "does not describe this spectrum" in " ".join(result.warnings)
     assert "standard errors are not to be trusted" in result.summary()
+    assert "do not trust it: the model does not describe the data" in result.message
+    assert (result.describes_data, gold.describes_data) == (False, True)
 
 
 def test_rendered_copper():
@@ -94,6 +96,32 @@ def test_rendered_matte_orange():
     wavelengths, reflectance, _ = read_spectrum(DATA / "flat-orange.csv")
     assert np.array_equal(wavelengths, m.wavelengths_nm)
     assert_recovered(fit(scene_of(vc.VGrooves(1.0), vc.Lambertian(reflectance)), m, [free.angle()]), 60)
+
+
+def test_varnished_cyan_taken_for_a_matte_one_is_flagged():
+    """Compiled for the orange already: it has the same directions and wavelengths."""
+    m = Measurement.read(DATA / "cyan-varnished-v75.csv")
+    _, reflectance, _ = read_spectrum(DATA / "flat-cyan.csv")
+    scene = scene_of(vc.VGrooves(1.0), vc.Lambertian(reflectance))
+    result = fit(scene, m, [free.angle()])
+    assert abs(degrees(result.estimates["angle"]) - 75) > 40  # A wrong answer that looks precise.
+    assert result.estimates["angle"].standard_error < np.radians(0.2)
+    answer = result.to_dict()
+    assert (answer["status"], answer["describes_data"]) == ("converged", False)
+    assert answer["message"] in result.summary()
+    assert "do not trust it: the model does not describe the data" in answer["message"]
+    (warning,) = answer["warnings"]
+    assert "does not describe this spectrum" in warning
+    assert "--material interfaced" in warning
+
+    # Without an uncertainty chi-square says nothing, but the residuals do not look like noise.
+    silent = Measurement(m.wavelengths_nm, m.polar, m.azimuth, m.reflectance_factor)
+    result = fit(scene, silent, [free.angle()])
+    assert result.describes_data is None
+    (unknown, structured) = result.warnings
+    assert "states no uncertainty" in unknown
+    assert "neighboring wavelengths go together" in structured
+    assert "InterfacedLambertian" in structured
 
 
 def test_real_metals():
@@ -255,6 +283,49 @@ def test_two_parameters_of_the_scene_and_a_gain():
     assert len(result.singular_values) == 3
 
 
+def test_index_and_coverage_below_an_interface():
+    """Of exact values; the index is traced from its lower bound on, the coverage in the whole range."""
+    material = vc.InterfacedLambertian(RED, 1.45, vc.Halftone(0.35, RED[::-1]))
+    scene = scene_of(vc.VGrooves(np.radians(80.0)), material)
+    m = observe(scene, FAN[::3])
+    parameters = [
+        free.parameter("index", lambda s: s.material.index, 1.3, 1.7),
+        free.parameter("coverage", lambda s: s.material.layer.coverage, 0, 1),
+    ]
+    start = scene_of(scene.surface, vc.InterfacedLambertian(RED, 1.6, vc.Halftone(0.9, RED[::-1])))
+    result = fit(start, m, parameters, tolerance=1e-5)
+    assert result.status == "converged"
+    # Ten times the tolerance over the slopes, which are about 1.
+    assert result.estimates["index"].value == pytest.approx(1.45, abs=1e-4)
+    assert result.estimates["coverage"].value == pytest.approx(0.35, abs=1e-4)
+    assert not any(w.startswith("the model gave no number") for w in result.warnings)
+
+
+def test_an_interface_is_compiled_in_and_what_lies_below_is_passed_on():
+    def built(reflectance, index, layer=None, parameters=None, polar=FAN):
+        scene = scene_of(vc.VGrooves(1.0), vc.InterfacedLambertian(reflectance, index, layer))
+        m = Measurement(BAND, polar, 0 * polar, np.full((len(polar), 6), 0.3), np.full((len(polar), 6), 0.01))
+        return problem.build(scene, m, parameters or [free.angle(40, 120)], None, 1e-4)
+
+    first = built(RED, 1.5)
+    assert built(RED[::-1], 1.5).programs is first.programs
+    assert built(RED, 1.4).programs is not first.programs
+    inked = built(RED, 1.5, vc.Halftone(0.3, RED))
+    assert built(RED, 1.5, vc.Halftone(0.8, RED[::-1])).programs is inked.programs
+    index = free.parameter("index", lambda s: s.material.index, 1.2, 2)
+    lower = free.parameter("index", lambda s: s.material.index, 1.1, 2)
+    # The lower bound says how fine the interface must be resolved.
+    assert built(RED, 1.5, None, [index]).programs is not built(RED, 1.5, None, [lower]).programs
+    with pytest.raises(ValueError, match=r"'n' at its bound: 0.9 is not a refractive index of an interface"):
+        built(RED, 1.5, None, [free.parameter("n", lambda s: s.material.index, 0.9, 2)])
+    with pytest.raises(ValueError, match=r"angles from 1.5 degrees; expected a lower bound of at least 2 degrees"):
+        built(RED, 1.5, None, [free.angle(1.5)])
+    with pytest.raises(
+        ValueError, match="'a': its place is not in this scene of VGrooves and InterfacedLambertian"
+    ):
+        built(RED, 1.5, None, [free.parameter("a", lambda s: s.material.layer.coverage, 0, 1)])
+
+
 def test_missing_values_are_left_out():
     scene = scene_of(vc.VGrooves(np.radians(63.0)), metal("Cu-Johnson", BAND))
     m = observe(scene)
@@ -277,6 +348,7 @@ def test_an_unknown_uncertainty_is_estimated():
     assert result.chi_square == pytest.approx(result.degrees_of_freedom, rel=1e-2)
     assert result.rms_misfit == pytest.approx(0.003, rel=0.5)
     assert "states no uncertainty" in " ".join(result.warnings)
+    assert "go together" not in " ".join(result.warnings)
     prior = (result.estimates["gain"].value - 1) / 0.01
     used = result.measurement.standard_uncertainty
     assert np.sum((result.residuals / used) ** 2) + prior**2 == pytest.approx(result.chi_square, rel=1e-9)
@@ -314,6 +386,7 @@ def test_json_has_the_promised_form(gold, tmp_path):
     assert content == json.loads(json.dumps(gold.to_dict()))
     assert content["status"] == "converged"
     assert content["identifiable"] is True
+    assert content["describes_data"] is True
     assert content["version"] == vc.__version__
     angle = content["parameters"]["angle"]
     assert angle["unit"] == "deg"
@@ -376,6 +449,12 @@ def test_unusable_measurements_are_refused():
     lit = vc.Scene(scene.surface, scene.material, vc.Directional(0.3), vc.View())
     with pytest.raises(ValueError, match=r"lit by Directional\(0.3, 0\), the measurement by Diffuse\(\)"):
         fit(lit, m, [free.angle()])
+    disk = vc.Scene(scene.surface, scene.material, vc.Directional(0.3, solid_angle=0.01), vc.View())
+    parallel = Measurement(BAND, m.polar, m.azimuth, m.reflectance_factor, illumination=vc.Directional(0.3))
+    with pytest.raises(
+        ValueError, match=r"lit by Directional\(0.3, 0, 0.01\), the measurement by Directional\(0.3, 0\)"
+    ):
+        fit(disk, parallel, [free.angle()])
     short = vc.Scene(scene.surface, vc.Lambertian(RED[:4]), vc.Diffuse(), vc.View())
     with pytest.raises(ValueError, match=r"wavelength shape \(4,\), the measurement 6 wavelengths"):
         fit(short, m, [free.angle()])

@@ -1,11 +1,13 @@
 """What the data determine, and the words for what they do not."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import vcavity_jax as vc
-from fitting import Measurement, fit, free
-from fitting.identifiability import local_information, p_value, threshold_95
+from fitting import Estimate, Measurement, fit, free, identifiability, problem
+from fitting.identifiability import describes_data, go_together, local_information, p_value, threshold_95
 
 GOLD = np.array([1.46 + 1.95j, 0.97 + 1.87j, 0.4 + 2.6j, 0.17 + 3.2j])
 BAND = np.array([450.0, 500.0, 550.0, 650.0])
@@ -45,6 +47,27 @@ def test_thresholds():
     assert threshold_95(4, True) == pytest.approx(2.776445**2, rel=1e-6)
     assert p_value(3.841459, 1) == pytest.approx(0.05, rel=1e-5)
     assert np.isnan(p_value(1.0, 0))
+
+
+def test_a_fit_is_poor_at_one_in_a_thousand():
+    # The point of chi-square with 10 degrees of freedom that 1 in 1000 exceeds is 29.588.
+    assert describes_data(29.58, 10, False) is True
+    assert describes_data(29.60, 10, False) is False
+    assert describes_data(1e6, 10, True) is None
+    assert describes_data(0.0, 0, False) is None
+
+
+def test_noise_does_not_go_together():
+    noise = np.random.default_rng(0).standard_normal((4000, 3, 31))
+    alike = sum(go_together(one) for one in noise)
+    assert alike <= 10  # One in a thousand is 4; three binomial errors above.
+    drift = np.sin(np.linspace(0, 3, 31)) - 0.6
+    assert go_together(0.01 * drift + 0.003 * noise[0])
+    assert not go_together(1e-6 * drift + 1e-7 * noise[0])  # Rounding of the file.
+    assert not go_together(0.01 * noise[0, :, :1])
+    gap = 0.01 * drift + 0.003 * noise[1]
+    gap[1, 3:6] = np.nan
+    assert go_together(gap)
 
 
 def test_a_frontal_mirror_is_blind_beyond_120_degrees():
@@ -97,6 +120,35 @@ def test_all_directions_along_the_grooves():
     assert result.identifiable
 
 
+@pytest.mark.parametrize("material", [vc.Specular(GOLD), vc.InterfacedLambertian(RED, 1.5)])
+def test_along_the_grooves_a_gloss_still_changes(material):
+    """At 103 degrees these views say up to three times more about an interfaced groove than the frontal one."""
+    scene, polar = grooves(103, material), np.radians([40.0, 75.0])
+    m = Measurement(BAND, polar, np.full(2, np.pi / 2), np.full((2, 4), 0.2), np.full((2, 4), 0.01))
+    built = problem.build(scene, m, [free.angle(60, 120)], None, 1e-4)
+    estimate = Estimate(np.radians(103), 0.01, [(1.7, 1.9)], "rad")
+    assert identifiability._blind_spots(built, {"angle": estimate}) == []
+
+
+@pytest.mark.parametrize(
+    ("material", "polar_deg", "flat"),
+    [
+        (vc.Lambertian(RED), 75, True),
+        (vc.InterfacedLambertian(RED, 1.5), 0, True),
+        (vc.InterfacedLambertian(RED, 1.5), 75, False),
+        (vc.Specular(GOLD), 75, False),
+    ],
+)
+def test_a_slight_roughness_shows_in_gloss_at_grazing_angles_only(material, polar_deg, flat):
+    polar = np.radians([float(polar_deg)])
+    m = Measurement(BAND, polar, np.zeros(1), np.full((1, 4), 0.2))
+    built = problem.build(grooves(60, vc.Lambertian(RED)), m, [free.angle()], 0.01, 1e-3)
+    scene = vc.Scene(vc.BeckmannGrooves(0.09), material, vc.Diffuse(), m.view)
+    seen = dataclasses.replace(built, scene=scene, nonlinear=(free.roughness(),), is_angle=None)
+    said = identifiability._blind_spots(seen, {"roughness": Estimate(0.09, 0.01, [(0.08, 0.1)])})
+    assert len(said) == flat
+
+
 def test_values_that_no_surface_gives():
     scene = grooves(60, vc.Lambertian(RED))
     good = synthetic(scene)
@@ -117,4 +169,5 @@ def test_nothing_left_to_test():
     result = fit(scene, one, [free.angle()])
     assert result.degrees_of_freedom == 0
     assert "cannot be tested" in " ".join(result.warnings)
+    assert result.describes_data is None
     assert np.degrees(result.estimates["angle"].value) == pytest.approx(60, abs=1e-4)

@@ -282,6 +282,29 @@ def test_a_flat_spectrum_has_no_gaps_and_one_direction(tmp_path: Path) -> None:
         read_spectrum(write(tmp_path, TIDY + "400,0,0,0.1\n400,1,0,0.1\n"))
 
 
+def test_a_transmittance_may_bear_its_name(tmp_path: Path) -> None:
+    for text in (
+        "wavelength_nm,transmittance\n400,0.25\n500,0.5\n",
+        "# reflectance_unit: percent\nwavelength_nm,transmittance,standard_uncertainty\n400,25,1\n500,50,1\n",
+        "wavelength_nm,reflectance\n400,0.25\n500,0.5\n",
+        "400,0.25\n500,0.5\n",
+    ):
+        wavelengths, values, _ = read_spectrum(write(tmp_path, text), quantity="transmittance")
+        np.testing.assert_array_equal(wavelengths, [400, 500])
+        np.testing.assert_allclose(values, [0.25, 0.5], rtol=1e-15)
+    path = write(tmp_path, "wavelength_nm,red\n400,0.25\n")
+    assert read_spectrum(path, column="red", quantity="transmittance")[1].tolist() == [0.25]
+    both = write(tmp_path, "wavelength_nm,reflectance,transmittance\n400,0.1,0.2\n")
+    with pytest.raises(
+        ValueError, match=r":1: unknown column 'reflectance'.*expected wavelength_nm, transmittance"
+    ):
+        read_spectrum(both, quantity="transmittance")
+    with pytest.raises(ValueError, match=":1: no transmittance at 400 nm"):
+        read_spectrum(write(tmp_path, "wavelength_nm,transmittance\n400,\n500,1\n"), quantity="transmittance")
+    # Not asked for one, it is a sample like any other.
+    assert ":1: a table of samples" in refusal(write(tmp_path, "wavelength_nm,transmittance\n400,0.2\n"))
+
+
 def test_a_hundred_thousand_rows_take_under_a_second(tmp_path: Path) -> None:
     rows = "".join(f"{w},{p / 2},0,0.5,0.003\n" for p in range(100) for w in range(300, 1300))
     path = write(tmp_path, HEADER + rows)

@@ -59,6 +59,7 @@ def fitted(
         profiles=tables,
         rms_misfit=0.01,
         uncertainty_estimated=uncertainty is None,
+        describes_data=None,
         warnings=(),
         status="converged",
         message="",
