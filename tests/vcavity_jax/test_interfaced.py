@@ -85,7 +85,7 @@ def test_every_record_is_compared() -> None:
     assert len(rows) > 1800
 
 
-@pytest.mark.parametrize("degrees", [20, 90, *slow(10, 30, 45, 60, 120, 150, 170)])
+@pytest.mark.parametrize("degrees", [90, *slow(10, 20, 30, 45, 60, 120, 150, 170)])
 def test_records_to_the_last_digits(degrees: float) -> None:
     """Measured: 2e-13 from 45 degrees, 1.3e-13 at 20, 7e-13 at 10, where 1 - κ k̂ is smallest for ρ = 1."""
     assert worst_error(degrees, FINEST) < 1e-12
@@ -155,10 +155,18 @@ def slanted_pair(row: Any) -> bool:
     return row.get("layer_first") is not None and row["layer_first"]["model"] == "williams-clapper"
 
 
+def sampled(row: Any) -> bool:
+    """Rows of few kinds, so that few programs are compiled."""
+    if "rho_first" in row:
+        return row["layer_first"] is None
+    return row.get("layer") is None or (row["layer"]["model"] == "williams-clapper" and row["light"] == "diffuse")
+
+
+@pytest.mark.parametrize("whole", [False, *slow(True)])
 @pytest.mark.parametrize("group", ["layers", "two_panels", "polarized", "bihemispherical"])
-def test_independent_solver(group: str) -> None:
+def test_independent_solver(group: str, whole: bool) -> None:
     """Layers, panels that differ, exact polarization, all reflected light. Measured: 2e-13 at worst."""
-    rows = [row for row in MORE[group] if not slanted_pair(row)]
+    rows = [row for row in MORE[group] if not slanted_pair(row) and (whole or sampled(row))]
     assert len(rows) >= 24
     for row in rows:
         assert abs(value_of(row, 24, 1.3) - expected(row)) < 1e-12, row
@@ -171,7 +179,7 @@ def test_low_and_high_indices(n: float) -> None:
             assert abs(value_of(row, 44, n) - expected(row)) < 1e-12, row
 
 
-@pytest.mark.parametrize("degrees", [5, *slow(2, 3, 4, 6, 8, 10)])
+@pytest.mark.parametrize("degrees", [8, *slow(2, 3, 4, 5, 6, 10)])
 def test_narrow_grooves_keep_the_default_tolerance(degrees: float) -> None:
     rows = [row for row in MORE["narrow"] if row["alpha_deg"] == degrees]
     assert rows
@@ -179,29 +187,23 @@ def test_narrow_grooves_keep_the_default_tolerance(degrees: float) -> None:
         assert abs(value_of(row, degrees, 1.3, 1e-8) - expected(row)) < 1e-8 + row["difference"], row
 
 
-def test_radiance_along_a_view() -> None:
+@pytest.mark.parametrize("diffuse", [True, *slow(False)])
+def test_radiance_along_a_view(diffuse: bool) -> None:
     """Local radiances of the independent solver; the record leaves out the specular component."""
-    rows = [row for row in MORE["local"] if "view" in row]
-    assert len(rows) > 20
+    rows = [row for row in MORE["local"] if "view" in row and (row["light"] == "diffuse") == diffuse]
+    rows = [row for row in rows if row["alpha_deg"] >= 45]
+    assert len(rows) > 4
 
-    @cache
-    def profile(diffuse: bool) -> Any:
-        @jax.jit
-        def run(angle: Any, light: Any, view: Any, position: Any) -> Any:
-            source = vc.Diffuse() if diffuse else vc.Directional(*light)
-            material = vc.InterfacedLambertian(0.8, 1.5, specular_included=False)
-            return vc.radiance_profile(
-                vc.Scene(vc.VGrooves(angle), material, source, vc.View(*view)), position, 1e-9
-            )
-
-        return run
+    @jax.jit
+    def run(angle: Any, light: Any, view: Any, position: Any) -> Any:
+        source = vc.Diffuse() if diffuse else vc.Directional(*light)
+        material = vc.InterfacedLambertian(0.8, 1.5, specular_included=False)
+        return vc.radiance_profile(vc.Scene(vc.VGrooves(angle), material, source, vc.View(*view)), position, 1e-9)
 
     for row in rows:
-        if row["alpha_deg"] < 45:
-            continue
         angle = jnp.radians(jnp.asarray(float(row["alpha_deg"])))
         position = np.interp(np.arange(5), np.arange(len(row["y"])), row["y"])
-        value = profile(row["light"] == "diffuse")(angle, traced(row["light"]), traced(row["view"]), position)
+        value = run(angle, traced(row["light"]), traced(row["view"]), position)
         panel = value[0 if row["panel"] == "first" else 1, : len(row["y"])]
         np.testing.assert_allclose(panel, row["radiance"], rtol=0, atol=1e-9, err_msg=str(row))
 
@@ -299,11 +301,11 @@ def test_white_furnace(treatment: Any) -> None:
         material = vc.InterfacedLambertian(1.0, n, None, treatment)
         surface = vc.VGrooves(angle)
         return [
-            vc.reflectance_factor(vc.Scene(surface, material, vc.Diffuse(), v), 1e-8, smallest_angle=0.17)
+            vc.reflectance_factor(vc.Scene(surface, material, vc.Diffuse(), v), 1e-8, smallest_angle=0.5)
             for v in (view, vc.Hemisphere())
         ]
 
-    for degrees in (10.0, 31.0, 90.0, 179.0, 180.0):
+    for degrees in (31.0, 90.0, 179.0, 180.0):
         for n in (1.0, 1.0001, 1.5, 2.5):
             for value in run(jnp.radians(jnp.asarray(degrees)), jnp.asarray(n)):
                 np.testing.assert_allclose(value, 1, rtol=0, atol=1e-12)
@@ -323,26 +325,26 @@ def test_reciprocity() -> None:
         np.testing.assert_allclose(run(angle, light, view), run(angle, view, light), rtol=1e-12, atol=1e-12)
 
 
-def test_index_one_is_the_bare_material() -> None:
+@pytest.mark.parametrize("source", [vc.Diffuse(), *slow(vc.Directional(0.7, 0.3))])
+def test_index_one_is_the_bare_material(source: Any) -> None:
     """Known, bare panels are computed; traced, 1 is raised by 1e-11. The gradient is that of the right side."""
-    light, view = vc.Directional(0.7, 0.3), vc.View(np.array([0.2, -0.9]), 0.1)
+    view = vc.View(np.array([0.2, -0.9]), 0.1)
 
-    def value(n: Any, light: Any = light) -> Any:
-        scene = vc.Scene(vc.VGrooves(0.9), vc.InterfacedLambertian(RHO, n), light, view)
+    def value(n: Any) -> Any:
+        scene = vc.Scene(vc.VGrooves(0.9), vc.InterfacedLambertian(RHO, n), source, view)
         return vc.reflectance_factor(scene, 1e-10)
 
-    for source in (light, vc.Diffuse()):
-        bare = vc.reflectance_factor(vc.Scene(vc.VGrooves(0.9), vc.Lambertian(RHO), source, view), FINEST)
-        np.testing.assert_allclose(value(1.0, source), bare, rtol=0, atol=1e-10)
-        along = jax.jit(lambda n, source=source: jax.jvp(lambda x: value(x, source), (n,), (jnp.ones_like(n),)))
-        found, slope = along(jnp.asarray(1.0))
-        np.testing.assert_allclose(found, bare, rtol=0, atol=1e-10)
-        assert np.isfinite(slope).all()
-        # The slope has a cusp at 1, by grazing rays: beside it, it is smooth.
-        aside = 1e-3
-        four = [np.asarray(along(jnp.asarray(1 + aside + k * 1e-5))[0]) for k in (-2, -1, 1, 2)]
-        differences = (8 * (four[2] - four[1]) - (four[3] - four[0])) / 12e-5
-        np.testing.assert_allclose(along(jnp.asarray(1 + aside))[1], differences, rtol=1e-4, atol=1e-4)
+    bare = vc.reflectance_factor(vc.Scene(vc.VGrooves(0.9), vc.Lambertian(RHO), source, view), FINEST)
+    np.testing.assert_allclose(value(1.0), bare, rtol=0, atol=1e-10)
+    along = jax.jit(lambda n: jax.jvp(value, (n,), (jnp.ones_like(n),)))
+    found, slope = along(jnp.asarray(1.0))
+    np.testing.assert_allclose(found, bare, rtol=0, atol=1e-10)
+    assert np.isfinite(slope).all()
+    # The slope has a cusp at 1, by grazing rays: beside it, it is smooth.
+    aside = 1e-3
+    four = [np.asarray(along(jnp.asarray(1 + aside + k * 1e-5))[0]) for k in (-2, -1, 1, 2)]
+    differences = (8 * (four[2] - four[1]) - (four[3] - four[0])) / 12e-5
+    np.testing.assert_allclose(along(jnp.asarray(1 + aside))[1], differences, rtol=1e-4, atol=1e-4)
 
 
 def test_dispersion_and_layers_are_those_of_each_wavelength() -> None:
@@ -380,8 +382,9 @@ def test_specular_component() -> None:
     np.testing.assert_allclose(glint[0], np.pi / small * 3.33e-5, rtol=2e-3)
     np.testing.assert_allclose(glint, vc.specular_component(vc.Scene(groove, material, lit, view)), rtol=1e-12)
     assert np.all(glint[1] == 0)
-    polarized = value(lit, polarization="full") - value(vc.Directional(), polarization="full")
-    np.testing.assert_allclose(polarized[0], np.pi / small * 8.26e-5, rtol=2e-3)
+    polarized = vc.InterfacedLambertian(ALONE, 1.5, polarization="full")
+    exact = vc.specular_component(vc.Scene(groove, polarized, lit, view))
+    np.testing.assert_allclose(exact[0], np.pi / small * 8.26e-5, rtol=2e-3)
 
 
 @pytest.mark.parametrize("light", ["diffuse", "directional"])
@@ -408,7 +411,8 @@ def test_gradients_match_the_records(light: str) -> None:
             assert abs(float(slope) - row[name]) < 1e-7 * (1 + abs(row[name])), row
 
 
-def test_gradients_of_layers_match_differences() -> None:
+@pytest.mark.parametrize("kind", ["ink", *slow("halftone")])
+def test_gradients_of_layers_match_differences(kind: str) -> None:
     """Transmittance, coverage, and both panels' reflectances, at 1e-7 relative."""
 
     def value(x: jax.Array) -> Any:
@@ -418,22 +422,17 @@ def test_gradients_of_layers_match_differences() -> None:
         ink = vc.InterfacedLambertian(x[0], x[1], vc.ColoredLayer(x[3]))
         surface, view = vc.VGrooves(x[4]), vc.View(0.3, 0.2)
         promised = {"smallest_angle": 0.8, "smallest_index": 1.3}
-        return jnp.stack(
-            [
-                vc.reflectance_factor(vc.Scene(surface, material, light, view), 1e-12, **promised)
-                for material in (halftone, ink)
-                for light in (vc.Diffuse(), vc.Directional(0.2, 0.5))
-            ]
-        )
+        material, light = (ink, vc.Directional(0.2, 0.5)) if kind == "ink" else (halftone, vc.Diffuse())
+        return vc.reflectance_factor(vc.Scene(surface, material, light, view), 1e-12, **promised)
 
     at = jnp.asarray([0.6, 1.45, 0.35, 0.5, 1.05])
-    slopes = np.asarray(jax.jit(jax.jacrev(value))(at))
+    slopes = np.asarray(jax.jit(jax.grad(value))(at))
     compiled = jax.jit(value)
     for i in range(5):
         step = jnp.zeros(5).at[i].set(1e-4)
         near, far = (compiled(at + k * step) - compiled(at - k * step) for k in (1, 2))
         differences = np.asarray(8 * near - far) / 12e-4
-        np.testing.assert_allclose(slopes[:, i], differences, rtol=1e-7, atol=1e-8)
+        np.testing.assert_allclose(slopes[i], differences, rtol=1e-7, atol=1e-8)
 
 
 def test_gradients_on_kinks_are_finite() -> None:
