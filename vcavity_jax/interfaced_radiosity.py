@@ -127,11 +127,11 @@ def _unshaded(of: Groove) -> Float[Array, ""]:
     return fresnel.absorbing_transmittance(of.interface.n, of.interface.depth) / of.through
 
 
-def mirrored(of: Groove, views: Directions) -> Float[Array, "d 1"]:
-    """The purely specular component in diffuse light."""
+def mirrored(of: Groove, views: Directions, trap: specular.Trap | None = None) -> Float[Array, "d 1"]:
+    """The purely specular component in diffuse light; trap: a part of the hemisphere from which none comes."""
     along, across, normal = (component[:, None] for component in views)
     model = model_of(of.interface)
-    return specular.hemispherical_directional(of.angle, along, across, normal, of.interface.n, model)
+    return specular.hemispherical_directional(of.angle, along, across, normal, of.interface.n, model, trap=trap)
 
 
 def directional(

@@ -216,7 +216,8 @@ def _lit(
         whole = interfaced_radiosity.diffuse(of, views, nodes) - interfaced_radiosity.mirrored(of, views)
         whole -= interfaced_radiosity.extended(of, light, views, nodes, plan.clustering)
         if included:
-            whole += mirrored_beside(of, light, views)
+            trap = specular.Trap(*components(light.polar, light.azimuth), light.half_angle)
+            whole += interfaced_radiosity.mirrored(of, views, trap)
         return whole / (1 - illumination.disk_irradiance(light))
     source = components(light.polar, light.azimuth)
     value = interfaced_radiosity.directional(of, source, views, nodes, plan.open)
@@ -278,14 +279,6 @@ def profile(
         swapped = data._replace(kappa=data.kappa[::-1], complement=data.complement[::-1])
         value = (value + over_wavelengths(at, swapped, panel.polarization == "full", 1)) / 2
     return value
-
-
-def mirrored_beside(of: Groove, light: DiffuseWithTrap, views: Directions) -> Float[Array, "d 1"]:
-    """The purely specular component of a sphere with a trap, in shares of the whole sphere's irradiance."""
-    trap = specular.Trap(*components(light.polar, light.azimuth), light.half_angle)
-    along, across, normal = (component[:, None] for component in views)
-    model = interfaced_radiosity.model_of(of.interface)
-    return specular.hemispherical_directional(of.angle, along, across, normal, of.interface.n, model, trap=trap)
 
 
 def _glint(of: Groove, light: Directional, views: Directions) -> Float[Array, "d 1"]:

@@ -133,15 +133,9 @@ def _of_diffusers(scene: Scene) -> np.ndarray:
 
 def _of_interfaces(scene: Scene, lower: float) -> np.ndarray:
     """2|θ'|, and (π ± 2θ')/k where the rim begins to cut off a hit; the slope's jump fades with the order k."""
-    sections = [np.empty(0)]
-    if isinstance(scene.illumination, Directional | Mixed):
-        sections.append(np.asarray(shadow_sections(scene.illumination)))
-    if isinstance(scene.view, View):
-        _, across, normal = _view_components(scene.view)
-        sections.append(np.abs(np.arctan2(across, normal)))
-    section = np.concatenate(sections)[:, None]
+    doubled = _of_diffusers(scene)[:, None]
     order = np.arange(1, min(int(np.ceil(2 * np.pi / lower)), _INTERFACE_ORDERS) + 1)
-    found = [2 * section, (np.pi + 2 * section) / order, (np.pi - 2 * section) / order]
+    found = [doubled, (np.pi + doubled) / order, (np.pi - doubled) / order]
     return np.concatenate([part.ravel() for part in found])
 
 
