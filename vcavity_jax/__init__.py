@@ -1,6 +1,7 @@
 """Differentiable forward models of V-grooved surfaces, in closed form."""
 
 from vcavity_jax import colorimetry as colorimetry
+from vcavity_jax import dispersion as dispersion
 from vcavity_jax import materials as materials
 from vcavity_jax.geometries import (
     cie_geometry as cie_geometry,
