@@ -8,30 +8,74 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fitting import free as free
+    from fitting import priors as priors
+    from fitting import spectra as spectra
+    from fitting.many import ManyResult as ManyResult
+    from fitting.many import fit_many as fit_many
     from fitting.measurement import Measurement as Measurement
     from fitting.measurement import read_spectrum as read_spectrum
     from fitting.parameters import Parameter as Parameter
+    from fitting.parameters import SpectralParameter as SpectralParameter
+    from fitting.profile import ProfileLikelihood as ProfileLikelihood
+    from fitting.profile import profile_likelihood as profile_likelihood
+    from fitting.recovery import Recovery as Recovery
+    from fitting.recovery import recover_reflectance as recover_reflectance
     from fitting.result import Estimate as Estimate
     from fitting.result import FitResult as FitResult
     from fitting.result import Minimum as Minimum
+    from fitting.result import SpectralEstimate as SpectralEstimate
+    from fitting.rival import Rival as Rival
+    from fitting.rival import refit_with_rival as refit_with_rival
     from fitting.solve import fit as fit
 
 _HOMES = {
-    "Measurement": "fitting.measurement",
-    "read_spectrum": "fitting.measurement",
-    "Parameter": "fitting.parameters",
     "Estimate": "fitting.result",
     "FitResult": "fitting.result",
+    "ManyResult": "fitting.many",
+    "Measurement": "fitting.measurement",
     "Minimum": "fitting.result",
+    "Parameter": "fitting.parameters",
+    "ProfileLikelihood": "fitting.profile",
+    "Recovery": "fitting.recovery",
+    "Rival": "fitting.rival",
+    "SpectralEstimate": "fitting.result",
+    "SpectralParameter": "fitting.parameters",
     "fit": "fitting.solve",
+    "fit_many": "fitting.many",
+    "profile_likelihood": "fitting.profile",
+    "read_spectrum": "fitting.measurement",
+    "recover_reflectance": "fitting.recovery",
+    "refit_with_rival": "fitting.rival",
 }
+_MODULES = ("free", "priors", "spectra")
 
-__all__ = ["Estimate", "FitResult", "Measurement", "Minimum", "Parameter", "fit", "free", "read_spectrum"]
+__all__ = [
+    "Estimate",
+    "FitResult",
+    "ManyResult",
+    "Measurement",
+    "Minimum",
+    "Parameter",
+    "ProfileLikelihood",
+    "Recovery",
+    "Rival",
+    "SpectralEstimate",
+    "SpectralParameter",
+    "fit",
+    "fit_many",
+    "free",
+    "priors",
+    "profile_likelihood",
+    "read_spectrum",
+    "recover_reflectance",
+    "refit_with_rival",
+    "spectra",
+]
 
 
 def __getattr__(name: str) -> Any:
-    if name == "free":
-        return import_module("fitting.free")
+    if name in _MODULES:
+        return import_module(f"fitting.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'fitting' has no attribute {name!r}")
     return getattr(import_module(_HOMES[name]), name)

@@ -1,25 +1,23 @@
 """How far a fit can be trusted: what the data determine, and every known reason to doubt it, in words."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from scipy.special import gammaincc, stdtrit  # type: ignore[import-untyped]
 
 import vcavity_jax as vc
+from fitting.blind_spots import blind_spots, more_to_measure
+from fitting.information import LocalInformation
 from fitting.problem import Problem
-from fitting.result import Estimate, Minimum
-from vcavity_jax.planning import interfaced_panel
+from fitting.result import Estimate, Minimum, SpectralEstimate
+from fitting.spectra import Smooth
 
 WEAK = 0.05
 """Smallest singular value of the scaled Jacobian below which parameters are hardly told apart."""
 
-SINGULAR = 1e-7
-# Roughness below which a matte surface, or an interfaced one seen from the front, looks flat to 0.0025, and a
-# mirror seen from the front to 0.0005.
-_FLAT: dict[type, tuple[float, float]] = {vc.BeckmannGrooves: (0.1, 0.2), vc.GaussianGrooves: (0.14, 0.24)}
 _BAD_FIT = 1e-3
 _ONE_IN_A_THOUSAND = 3.09
 _ROUNDING = 1e-5
@@ -30,54 +28,6 @@ _ADVICE: dict[type, str] = {
 """What else to try if a material does not describe the data."""
 
 _LIKELIHOOD_95 = 3.841458820694124
-
-
-@dataclass(frozen=True)
-class LocalInformation:
-    """What the slopes of the model at a point say about all parameters.
-
-    Args:
-        singular_values: of the Jacobian with its columns scaled to unit length, descending.
-        covariance: of all parameters; NaN if the Jacobian is singular.
-        singular: whether it is.
-    """
-
-    singular_values: np.ndarray
-    covariance: np.ndarray
-    singular: bool
-
-    @property
-    def standard_errors(self) -> np.ndarray:
-        """Square roots of the covariance's diagonal, NaN where singular."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def correlation(self) -> np.ndarray:
-        """The covariance with a unit diagonal."""
-        errors = self.standard_errors
-        return np.asarray(self.covariance / np.outer(errors, errors))
-
-
-def local_information(jacobian: Float[np.ndarray, "rows parameters"]) -> LocalInformation:
-    """Gauss-Newton covariance of a weighted Jacobian.
-
-    A pseudo-inverse would report a small error exactly where a parameter is not determined at all; here the
-    covariance is NaN then.
-
-    Args:
-        jacobian: derivative of the weighted residuals, priors included.
-    """
-    count = jacobian.shape[1]
-    lengths = np.linalg.norm(jacobian, axis=0)
-    if not np.isfinite(jacobian).all():
-        return LocalInformation(np.full(count, np.nan), np.full((count, count), np.nan), True)
-    scaled = jacobian / np.where(lengths > 0, lengths, 1.0)
-    _, values, turned = np.linalg.svd(scaled, full_matrices=False)
-    if len(values) < count or values[-1] <= SINGULAR or not lengths.all():
-        values = np.pad(values, (0, count - len(values)))
-        return LocalInformation(values, np.full((count, count), np.nan), True)
-    half = turned.T / values / lengths[:, None]
-    return LocalInformation(values, half @ half.T, False)
 
 
 def threshold_95(degrees_of_freedom: int, uncertainty_estimated: bool) -> float:
@@ -105,13 +55,14 @@ def describes_data(chi_square: float, degrees_of_freedom: int, uncertainty_estim
 
 def find_warnings(
     problem: Problem,
-    estimates: dict[str, Estimate],
+    estimates: Mapping[str, Any],
     minima: Sequence[Minimum],
     information: LocalInformation,
     open_names: Sequence[str],
     chi_square: float,
-    residuals: Float[np.ndarray, "d l"],
+    residuals: Sequence[np.ndarray],
     uncertainty_estimated: bool,
+    branches: int,
 ) -> tuple[str, ...]:
     """Every reason to doubt a fit, one sentence each.
 
@@ -122,17 +73,27 @@ def find_warnings(
         information: at the best fit.
         open_names: parameters whose profile does not close within the allowed range.
         chi_square: at the best fit.
-        residuals: measured less predicted, NaN where missing.
+        residuals: measured less predicted, NaN where missing, of each measurement.
         uncertainty_estimated: sigma is not known but estimated.
+        branches: wavelengths at which other values of the free spectra fit as well.
     """
     found = _fit_quality(problem, residuals, chi_square, uncertainty_estimated)
-    found += _blind_spots(problem, estimates)
+    found += blind_spots(problem, estimates)
     if len(minima) > 1:
         found.append(
             f"{len(minima)} distinct minima lie within 9 in chi-square ({_list_minima(problem, minima)}): "
             f"the data do not choose between them; {more_to_measure(problem)} or fix what else is known"
         )
+    if branches:
+        found.append(
+            f"at {branches} of {len(problem.layout.wavelengths_nm)} wavelengths other values of "
+            f"{' and '.join(problem.free_names)} fit as well (within 9 in chi-square): the answer depends on the "
+            "branch; give a prior around a table, or a dispersion formula"
+        )
     for name, estimate in estimates.items():
+        if isinstance(estimate, SpectralEstimate):
+            found += _spectral_doubts(name, estimate)
+            continue
         if estimate.at_kink:
             found.append(
                 f"{name} lies at a kink of the model, where the slopes on both sides differ: trust the 95 % "
@@ -140,7 +101,7 @@ def find_warnings(
             )
         if name in open_names:
             found.append(_one_sided(problem, name, estimate))
-    weakest = information.singular_values[-1]
+    weakest = min(information.singular_values, default=1.0)
     if information.singular:
         found.append(
             "the parameters cannot be told apart (the Jacobian is singular): fix one, give a prior, or "
@@ -152,6 +113,20 @@ def find_warnings(
             f"{weakest:.2g}, below {WEAK}): fix one, give a prior, or {more_to_measure(problem)}"
         )
     return tuple(found)
+
+
+def _spectral_doubts(name: str, estimate: SpectralEstimate) -> list[str]:
+    found = []
+    lost, bound = np.isnan(estimate.value), estimate.at_bound
+    for which, words in (
+        (lost, "is not determined by the data; give a prior, a smooth form, or values"),
+        (bound, "lies on a bound of its range: noise or a wrong gain pushes it there"),
+    ):
+        if which.any():
+            first = estimate.wavelengths_nm[which]
+            where = f"{first[0]:g} nm" if len(first) == 1 else f"{first[0]:g} to {first[-1]:g} nm"
+            found.append(f"{name} at {int(which.sum())} of {len(which)} wavelengths ({where}) {words}")
+    return found
 
 
 def go_together(residuals: Float[np.ndarray, "d l"]) -> bool:
@@ -167,11 +142,15 @@ def go_together(residuals: Float[np.ndarray, "d l"]) -> bool:
 
 
 def _fit_quality(
-    problem: Problem, residuals: Float[np.ndarray, "d l"], chi_square: float, uncertainty_estimated: bool
+    problem: Problem, residuals: Sequence[np.ndarray], chi_square: float, uncertainty_estimated: bool
 ) -> list[str]:
     found = []
-    dof, rms_misfit = problem.degrees_of_freedom, np.sqrt(np.nanmean(residuals**2))
-    advice = _ADVICE.get(type(problem.scene.material), "")
+    dof = problem.degrees_of_freedom
+    rms_misfit = np.sqrt(np.nanmean(np.concatenate([r.ravel() for r in residuals]) ** 2))
+    kinds = [type(part.scene.material) for part in problem.layout.parts]
+    advice = next((_ADVICE[kind] for kind in kinds if kind in _ADVICE), "")
+    if any(isinstance(use.form, Smooth) for use in problem.layout.forms):
+        advice = "; a smooth spectrum may need a shorter correlation length" + advice
     if dof == 0:
         found.append("no degree of freedom is left: any model would fit, so that this one cannot be tested")
     elif uncertainty_estimated:
@@ -179,7 +158,7 @@ def _fit_quality(
             f"the measurement states no uncertainty: {rms_misfit:.2g} is estimated from the residuals, as if "
             "the model were right; give a standard uncertainty to test it"
         )
-        if go_together(residuals):
+        if any(go_together(r) for r in residuals):
             found.append(
                 "the residuals are not noise, because neighboring wavelengths go together: the model describes "
                 f"this spectrum only to about {rms_misfit:.2g}; standard errors are not to be trusted{advice}"
@@ -190,83 +169,28 @@ def _fit_quality(
             f"{chi_square / dof:.2g}, rms misfit {rms_misfit:.2g}; values and standard errors are not to be "
             f"trusted{advice}"
         )
-    values, weights = np.asarray(problem.data.values), np.asarray(problem.data.weights)
-    beyond = (values - 1) * weights > 3
-    below = values * weights < -3
-    diffuse = isinstance(problem.scene.illumination, vc.Diffuse)
-    # Energy bounds the light that goes everywhere, and by reciprocity the one that comes from everywhere.
-    if (diffuse or problem.measurement.hemispherical) and (beyond | below).any():
-        worst = values[beyond | below][np.argmax(np.abs(values[beyond | below] - 0.5))]
-        found.append(
-            f"{int((beyond | below).sum())} measured values lie outside 0 to 1 by more than three standard "
-            f"uncertainties (the worst is {worst:.3g}): no surface does that "
-            f"{'in diffuse light' if diffuse else 'with all its light collected'}; check the calibration"
-        )
+    for index, measurement in enumerate(problem.measurements):
+        found += _beyond_energy(problem, index, measurement.hemispherical)
     return found
 
 
-def _known_directions(problem: Problem) -> tuple[np.ndarray, np.ndarray] | None:
-    """Polar angles and azimuths that the data distinguish; None if light and view are both averaged over.
-
-    Where all reflected light is collected they are those of the light, by reciprocity.
-    """
-    measurement, light = problem.measurement, problem.scene.illumination
-    if not measurement.hemispherical:
-        return measurement.polar, measurement.azimuth
-    if isinstance(light, vc.Directional):
-        return np.asarray(light.polar, np.float64)[None], np.asarray(light.azimuth, np.float64)[None]
-    return None
-
-
-def more_to_measure(problem: Problem) -> str:
-    """What measurement would say more, in words that follow "or"."""
-    if not problem.measurement.hemispherical:
-        return "add directions"
-    if _known_directions(problem) is None:
-        return "measure in single directions, as in d:8"
-    return "add directions of the light (as views in diffuse light, by reciprocity)"
-
-
-def _blind_spots(problem: Problem, estimates: dict[str, Estimate]) -> list[str]:
-    """What the geometry cannot see of what is asked of it."""
-    scene = problem.scene
-    shiny = isinstance(scene.material, vc.Specular)
-    matte = not shiny and interfaced_panel(scene.material) is None
-    # Light or view averages over the hemisphere: which of them does not matter, by reciprocity.
-    averaged = isinstance(scene.illumination, vc.Diffuse) or problem.measurement.hemispherical
-    known = _known_directions(problem)
-    frontal = known is not None and bool((np.abs(known[0]) < np.radians(60)).all())
-    found = []
-    if known is not None:
-        polar, azimuth = known
-        section = np.abs(np.arctan2(np.sin(polar) * np.cos(azimuth), np.cos(polar)))
-        if matte and problem.nonlinear and (section < 1e-6).all() and (np.abs(polar) > 1e-6).any():
-            found.append(
-                "all directions lie along the grooves (tan θ' = tan θ cos φ = 0): they tell no more about "
-                "the grooves than one frontal view; add directions across them"
-            )
-        angle = None if problem.is_angle is None else estimates[problem.nonlinear[problem.is_angle].name].value
-        steep = angle is not None and angle > np.radians(120)
-        if shiny and averaged and steep and (section < np.radians(30)).all():
-            found.append(
-                "each ray is reflected once, near the normal, where the reflectance hardly depends on the angle: "
-                "these directions are blind; add one at θ ≥ 75 degrees across the grooves"
-            )
-    rough = estimates.get("roughness")
-    if rough is not None and averaged and isinstance(scene.surface, tuple(_FLAT)):
-        matte_limit, mirror_limit = _FLAT[type(scene.surface)]
-        # Whatever is glossy changes with its roughness if it is seen at grazing angles.
-        limit = (mirror_limit if shiny else matte_limit) if matte or frontal else 0.0
-        if rough.value < limit:
-            found.append(
-                f"roughness {rough.value:.2g} is below {limit}, where the reflectance no longer depends on "
-                "it: take the interval's upper end as a limit"
-            )
-    return found
+def _beyond_energy(problem: Problem, index: int, hemispherical: bool) -> list[str]:
+    """Energy bounds the light that goes everywhere, and by reciprocity the one that comes from everywhere."""
+    values, weights = np.asarray(problem.data.values[index]), np.asarray(problem.data.weights[index])
+    outside = ((values - 1) * weights > 3) | (values * weights < -3)
+    diffuse = isinstance(problem.layout.parts[index].scene.illumination, vc.Diffuse)
+    if not (diffuse or hemispherical) or not outside.any():
+        return []
+    worst = values[outside][np.argmax(np.abs(values[outside] - 0.5))]
+    return [
+        f"{int(outside.sum())} measured values lie outside 0 to 1 by more than three standard "
+        f"uncertainties (the worst is {worst:.3g}): no surface does that "
+        f"{'in diffuse light' if diffuse else 'with all its light collected'}; check the calibration"
+    ]
 
 
 def _one_sided(problem: Problem, name: str, estimate: Estimate) -> str:
-    parameter = next(p for p in problem.parameters if p.name == name)
+    parameter = next(p for p in problem.numbers if p.name == name)
     low, high = estimate.interval_95[0][0], estimate.interval_95[-1][1]
     unit = " degrees" if parameter.unit == "rad" else ""
     shown_low, shown_high = parameter.displayed(low), parameter.displayed(high)
@@ -284,5 +208,5 @@ def _one_sided(problem: Problem, name: str, estimate: Estimate) -> str:
 
 
 def _list_minima(problem: Problem, minima: Sequence[Minimum]) -> str:
-    first = problem.nonlinear[0]
+    first = problem.numbers[0]
     return ", ".join(f"{first.name} {first.displayed(m.values[first.name]):.4g}" for m in minima)

@@ -7,11 +7,9 @@ several pieces.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from fitting.identifiability import local_information
-from fitting.polish import Polished, lane_count, polish
-from fitting.problem import Evaluation, Problem
+from fitting.problem import INNER_STEPS, Descent, Evaluation, Problem
 from fitting.programs import CHUNK
 from fitting.search import section_roots
 
@@ -19,88 +17,96 @@ Pieces = list[tuple[float, float]]
 
 _PRECISION = 1e-4
 _AXIS_POINTS = 41
+_PROFILE_STEPS = 60
+_MATTERS = 30.0
+_GAP = 1e-5
+"""Pieces nearer to each other than this share of their width are one: rounding at a kink parts them."""
 
 
 class Profile:
-    """Chi-square against one nonlinear parameter, minimized over the others, at ever more points.
+    """Chi-square against one number, minimized over all other unknowns, at ever more points.
 
     Args:
         problem: what is fitted.
-        slot: which nonlinear parameter.
-        known: points evaluated so far. For a single parameter these are the profile; else starts for it.
+        slot: which number.
+        known: points evaluated so far. If this number alone is searched they are the profile; else starts for it.
     """
 
     def __init__(self, problem: Problem, slot: int, known: Evaluation) -> None:
         self._problem, self._slot = problem, slot
         self.points = known
-        if len(problem.nonlinear) > 1:
-            self.points = Evaluation(*(part[:0] for part in known))
-            self.cost(self._starting_values(known), known)
+        self._known = known
+        self._only_one = slot == 0 and len(problem.searched) == 1
+        if not self._only_one:
+            self.points = known.take(slice(0))
+            if problem.numbers[slot].searched:
+                self.cost(self._starting_values(known))
 
     def _starting_values(self, known: Evaluation) -> np.ndarray:
-        values = np.unique(known.parameters[:, self._slot])
+        values = np.unique(known.values[:, self._slot])
         stride = max(1, int(np.ceil(len(values) / _AXIS_POINTS)))
         return np.unique(np.append(values[::stride], values[-1]))
 
     @property
     def values(self) -> Float[np.ndarray, " n"]:
-        """The parameter, ascending, in its own unit."""
-        return self.points.parameters[:, self._slot]
+        """The number, ascending, in its own unit."""
+        return self.points.values[:, self._slot]
 
-    def cost(self, values: np.ndarray, starts: Evaluation | None = None) -> Float[np.ndarray, " n"]:
+    def cost(self, values: np.ndarray) -> Float[np.ndarray, " n"]:
         """Profile chi-square at some values; the points are kept."""
         values = np.asarray(values, dtype=np.float64)
-        if len(self._problem.nonlinear) == 1:
+        if self._only_one and self._problem.tabular:
             found = self._problem.evaluate(values[:, None])
         else:
-            found = self._minimized(values, self.points if starts is None else starts)
+            found = self._minimized(values)
         self._add(found)
         return found.chi_square
 
-    def _minimized(self, values: np.ndarray, starts: Evaluation) -> Evaluation:
-        """Polish the other parameters, from the best point known at the nearest value of this one."""
-        own = starts.parameters[:, self._slot]
+    def _minimized(self, values: np.ndarray) -> Evaluation:
+        """Minimize over all other unknowns, from the best point known at the nearest value of this one."""
+        starts = self.points if len(self.points.chi_square) else self._known
+        own = starts.values[:, self._slot]
+        usable = np.isfinite(starts.chi_square)
         chosen = []
         for value in values:
-            near = np.flatnonzero(np.abs(own - value) <= np.min(np.abs(own - value)) * (1 + 1e-9))
+            apart = np.where(usable, np.abs(own - value), np.inf)
+            near = np.flatnonzero(apart <= np.min(apart) * (1 + 1e-9))
             chosen.append(near[np.argmin(starts.chi_square[near])])
-        points = starts.parameters[chosen].copy()
+        points = starts.values[chosen].copy()
         points[:, self._slot] = values
         movable = np.ones(points.shape, dtype=bool)
         movable[:, self._slot] = False
-        return self._profiled(polish(self._problem, points, movable))
+        at = self._problem.descend(
+            points, starts.spectra[chosen], movable, inner=INNER_STEPS, outer=_PROFILE_STEPS
+        )
+        return self._problem.evaluation(at, ~movable[0])
 
-    def _profiled(self, end: Polished) -> Evaluation:
-        """Points of this profile: the variances of gain and offset are those at a fixed value of it."""
-        problem, variance = self._problem, end.variance.copy()
-        if len(problem.nonlinear) > 1 and problem.linear:
-            for k, gain in enumerate(end.linear[:, 0]):
-                # The other parameters give way when the gain moves.
-                jacobian = problem.jacobian(end.predicted[k], gain * end.slopes[k])
-                errors = local_information(np.delete(jacobian, self._slot, axis=1)).standard_errors
-                own = errors[-len(problem.linear) :] ** 2
-                variance[k, problem.linear_slots] = np.where(np.isnan(own), np.inf, own)
-        return Evaluation(end.parameters, end.chi_square, end.linear, variance)
-
-    def add_minima(self, minima: Polished) -> None:
+    def add_minima(self, minima: Descent) -> None:
         """Put the minima that were found in."""
-        self._add(self._profiled(minima))
+        held = np.arange(len(self._problem.numbers)) == self._slot
+        self._add(self._problem.evaluation(minima, held))
+
+    def settle(self, minimum: float) -> None:
+        """Minimize to the end at the points that matter: the search stops short of that where much is unknown."""
+        if self._only_one and not self._problem.tabular:
+            near = self.points.chi_square - minimum < _MATTERS
+            self.cost(self.values[near])
 
     def _add(self, found: Evaluation) -> None:
-        """Put points in, in order."""
-        joined = Evaluation(*(np.concatenate(pair) for pair in zip(self.points, found, strict=True)))
-        _, order = np.unique(joined.parameters[:, self._slot], return_index=True)
-        if len(order) < len(joined.chi_square):
-            # Of several points at one value the lowest counts.
-            best = np.lexsort((joined.chi_square, joined.parameters[:, self._slot]))
-            own = joined.parameters[best, self._slot]
-            order = best[np.append(True, own[1:] != own[:-1])]
-        self.points = Evaluation(*(part[order] for part in joined))
+        """Put points in, in order; of several at one value the lowest counts."""
+        whole = Evaluation(*(np.concatenate(pair) for pair in zip(self.points, found, strict=True)))
+        best = np.lexsort((whole.chi_square, whole.values[:, self._slot]))
+        own = whole.values[best, self._slot]
+        self.points = whole.take(best[np.append(True, own[1:] != own[:-1])])
 
     def refine_around(self, place: float, left: float, right: float) -> None:
         """Add points beside a minimum, spaced by its standard errors on either side."""
-        parameter = self._problem.nonlinear[self._slot]
-        shares = np.arange(1, 17) / 4 if len(self._problem.nonlinear) == 1 else np.array([0.5, 1, 1.5, 2, 2.5])
+        parameter = self._problem.numbers[self._slot]
+        shares = (
+            np.arange(1, 17) / 4
+            if self._only_one and self._problem.tabular
+            else np.array([0.35, 0.7, 1, 1.4, 1.8, 2.2, 2.7])
+        )
         sides = [place - shares * left, place + shares * right]
         wanted = np.concatenate([side for side in sides if np.isfinite(side).all()] or [np.empty(0)])
         wanted = wanted[(wanted > parameter.lower) & (wanted < parameter.upper)]
@@ -113,14 +119,14 @@ class Profile:
         Returns:
             The pieces, ascending, and whether all their ends lie inside the allowed range.
         """
-        problem_points = CHUNK if len(self._problem.nonlinear) == 1 else lane_count(self._problem)
+        problem_points = CHUNK if self._only_one and self._problem.tabular else self._problem.lanes
 
         def inside(values: np.ndarray) -> np.ndarray:
             return self.cost(values) - minimum < threshold
 
         # Twice: the first ends only say how wide the pieces are.
         for precision in (30 * _PRECISION, _PRECISION):
-            values, runs = self.values, self._runs(minimum, threshold)
+            values, runs = self.values, _runs(self.points.chi_square - minimum < threshold)
             brackets, widths = [], []
             for first, last in runs:
                 width = max(values[last] - values[first], 1e-9 * (values[-1] - values[0]))
@@ -135,24 +141,36 @@ class Profile:
                 span = np.abs(ends[:, 1] - ends[:, 0]).min()
                 width = max(precision * min(widths), 1e-4 * span if precision > _PRECISION else 0.0)
                 section_roots(inside, ends, width, problem_points)
-        values = self.values
-        delta = self.points.chi_square - minimum
-        pieces, closed = [], True
-        for first, last in self._runs(minimum, threshold):
-            low, high = values[first], values[last]
-            if first > 0:
-                low = _crossing(values[first - 1 : first + 1][::-1], delta[first - 1 : first + 1][::-1], threshold)
-            if last < len(values) - 1:
-                high = _crossing(values[last : last + 2], delta[last : last + 2], threshold)
-            closed = closed and first > 0 and last < len(values) - 1
-            pieces.append((float(low), float(high)))
-        return pieces, closed
+        return pieces_within(self.values, self.points.chi_square - minimum, threshold)
 
-    def _runs(self, minimum: float, threshold: float) -> list[tuple[int, int]]:
-        """First and last index of each stretch of points within the threshold."""
-        within = np.concatenate([[False], self.points.chi_square - minimum < threshold, [False]])
-        edges = np.flatnonzero(np.diff(within.astype(np.int8)))
-        return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+def pieces_within(
+    values: Float[np.ndarray, " n"], delta: Float[np.ndarray, " n"], threshold: float
+) -> tuple[Pieces, bool]:
+    """Where a table of values stays within a threshold.
+
+    Returns:
+        The pieces, ascending, and whether all their ends lie inside the table.
+    """
+    pieces: Pieces = []
+    closed = True
+    for first, last in _runs(delta < threshold):
+        low, high = values[first], values[last]
+        if first > 0:
+            low = _crossing(values[first - 1 : first + 1][::-1], delta[first - 1 : first + 1][::-1], threshold)
+        if last < len(values) - 1:
+            high = _crossing(values[last : last + 2], delta[last : last + 2], threshold)
+        closed = closed and first > 0 and last < len(values) - 1
+        if pieces and low - pieces[-1][0] > 0 and low - pieces[-1][1] <= _GAP * (high - pieces[-1][0]):
+            low = pieces.pop()[0]
+        pieces.append((float(low), float(high)))
+    return pieces, closed
+
+
+def _runs(within: Bool[np.ndarray, " n"]) -> list[tuple[int, int]]:
+    """First and last index of each stretch of points that are within."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], within, [False]]).astype(np.int8)))
+    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _crossing(places: np.ndarray, delta: np.ndarray, threshold: float) -> float:
@@ -163,12 +181,12 @@ def _crossing(places: np.ndarray, delta: np.ndarray, threshold: float) -> float:
 
 
 @dataclass(frozen=True)
-class LinearProfile:
-    """Interval and profile of gain or offset.
+class Envelope:
+    """Interval and profile of a number that is not searched.
 
     Args:
         pieces: where chi-square stays within the threshold.
-        values: of the parameter.
+        values: of the number.
         chi_square: its profile there.
     """
 
@@ -177,52 +195,76 @@ class LinearProfile:
     chi_square: np.ndarray
 
 
-def linear_profile(points: Evaluation, column: int, minimum: float, threshold: float) -> LinearProfile:
-    """Profile of gain or offset from that of a nonlinear parameter, if any, without another evaluation.
+def envelope(
+    points: Evaluation, number: int, minimum: float, threshold: float, bounds: tuple[float, float]
+) -> Envelope:
+    """Profile of a number from that of a searched one, if any, without another evaluation.
 
-    At each value of the nonlinear parameter chi-square is a parabola in the gain; the profile is the lower
-    envelope of these parabolas. They are exact for a single nonlinear parameter; with more, the others follow
-    the gain by the slopes of the model.
+    At each value of the searched number chi-square is a parabola in this one; the profile is the lower envelope
+    of these parabolas. They are exact for gain and offset if nothing else is free; the others follow by the
+    slopes of the model.
 
     Args:
-        points: along the profile of a nonlinear parameter, ascending; a single one if there is none.
-        column: 0 for gain, 1 for offset.
+        points: along the profile of a searched number, ascending; a single one if there is none.
+        number: which number.
         minimum: chi-square at the best fit.
         threshold: by which the interval's ends exceed it.
+        bounds: of the number.
     """
-    fine = _between(points, 16) if len(points.chi_square) > 1 else points
-    delta, center = fine.chi_square - minimum, fine.linear[:, column]
-    variance = fine.variance[:, column]
+    fine: tuple[np.ndarray, ...] = points.values[:, number], points.chi_square, points.variance[:, number]
+    if len(points.chi_square) > 1:
+        fine = _between(fine, 16)
+    center, delta, variance = fine[0], fine[1] - minimum, fine[2]
     within = np.isfinite(delta) & (delta < threshold) & np.isfinite(variance)
-    if not within.any() or not np.isfinite(points.variance[:, column]).any():
-        return LinearProfile([(-np.inf, np.inf)], np.empty(0), np.empty(0))
+    if not within.any() or not np.isfinite(points.variance[:, number]).any():
+        return Envelope([bounds], np.empty(0), np.empty(0))
     reach = np.sqrt(variance * np.clip(threshold - delta, 0, None), where=within, out=np.zeros(len(delta)))
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], within, [False]]).astype(np.int8)))
     pieces: Pieces = []
     # A stretch of neighbors is connected, so is the image of it.
-    runs = [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    runs = [slice(a, b + 1) for a, b in _runs(within)]
     spans = sorted((np.min((center - reach)[r]), np.max((center + reach)[r])) for r in runs)
     for low, high in spans:
+        low, high = (float(np.clip(end, *bounds)) for end in (low, high))
         if pieces and low <= pieces[-1][1]:
-            pieces[-1] = (pieces[-1][0], max(float(high), pieces[-1][1]))
+            pieces[-1] = (pieces[-1][0], max(high, pieces[-1][1]))
         else:
-            pieces.append((float(low), float(high)))
+            pieces.append((low, high))
     margin = 0.75 * (pieces[-1][1] - pieces[0][0])
     values = np.linspace(pieces[0][0] - margin, pieces[-1][1] + margin, 101)
+    values = values[(values >= bounds[0]) & (values <= bounds[1])]
     near = np.isfinite(delta) & np.isfinite(variance) & (variance > 0) & (delta < 30 * threshold)
+    if not near.any():
+        return Envelope(pieces, np.empty(0), np.empty(0))
     cost = np.min(delta[near] + (values[:, None] - center[near]) ** 2 / variance[near], axis=1)
-    return LinearProfile(pieces, values, minimum + cost)
+    return Envelope(pieces, values, minimum + cost)
 
 
-def _between(points: Evaluation, times: int) -> Evaluation:
-    """Points filled in linearly between neighbors."""
-    share = (np.arange(times) / times)[:, None, None]
+def spectral_interval(
+    points: Evaluation, minimum: float, threshold: float, bounds: Float[np.ndarray, "2 q"]
+) -> tuple[Float[np.ndarray, "q u"], Float[np.ndarray, "q u"]]:
+    """Lower and upper ends of the intervals of the free spectra, likewise; gaps within them are not shown."""
+    delta = points.chi_square - minimum
+    within = np.isfinite(delta) & (delta < threshold)
+    bottom, top = (bound[:, None] for bound in bounds)
+    if not within.any():
+        shape = points.spectra.shape[1:]
+        return np.broadcast_to(bottom, shape).copy(), np.broadcast_to(top, shape).copy()
+    room = (threshold - delta[within])[:, None, None]
+    with np.errstate(invalid="ignore"):
+        reach = np.sqrt(points.spectral_variance[within] * room)
+    reach = np.where(np.isnan(reach), np.inf, reach)
+    low = np.min(points.spectra[within] - reach, axis=0)
+    high = np.max(points.spectra[within] + reach, axis=0)
+    return np.clip(low, bottom, top), np.clip(high, bottom, top)
+
+
+def _between(parts: tuple[np.ndarray, ...], times: int) -> tuple[np.ndarray, ...]:
+    """Columns filled in linearly between neighbors."""
+    share = (np.arange(times) / times)[None, :]
 
     def fill(part: np.ndarray) -> np.ndarray:
-        flat = part.reshape(len(part), -1)
         with np.errstate(invalid="ignore"):
-            filled = flat[:-1] + share * (flat[1:] - flat[:-1])
-        joined = np.concatenate([filled.transpose(1, 0, 2).reshape(-1, flat.shape[1]), flat[-1:]])
-        return joined.reshape(-1, *part.shape[1:])
+            filled = part[:-1, None] + share * (part[1:] - part[:-1])[:, None]
+        return np.append(filled.ravel(), part[-1])
 
-    return Evaluation(*(fill(part) for part in points))
+    return tuple(fill(part) for part in parts)

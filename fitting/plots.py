@@ -23,16 +23,20 @@ from matplotlib.ticker import MaxNLocator, NullFormatter, SymmetricalLogLocator
 
 from fitting import files
 from fitting.identifiability import threshold_95
-from fitting.result import FitResult
+from fitting.measurement import Measurement
+from fitting.profile import ProfileLikelihood
+from fitting.result import FitResult, SpectralEstimate
 
 FORMATS = ("png", "pdf", "svg")
 MOST_SERIES = 8
+MOST_PROFILES = 6
 # More points than this in a series and error bars run into each other.
 MOST_MARKS = 45
 
 _WIDTH = 3.5  # inches: one column of a journal
 _MARKS = "os^DvP<X"
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1.2, 1, 1.2)))
+_LABELS = {"angle": "dihedral angle α", "roughness": "roughness m"}
 _BAND, _ACCENT = "#d9d9d9", "#0072B2"
 _STYLE = {
     "font.size": 8.0,
@@ -112,24 +116,74 @@ def write_figure(draw: Callable[[], Figure], path: str | PathLike[str]) -> None:
 
 def _draw(result: FitResult) -> Figure:
     drawn = [name for name, (_, chi_square) in result.profiles.items() if np.isfinite(chi_square).sum() > 1]
-    profiles = [_profile(result, name) for name in drawn]
-    heights = [2.2, 1.1]
+    profiles = [_profile(result, name) for name in drawn[:MOST_PROFILES]]
+    spectra = [name for name, e in result.estimates.items() if isinstance(e, SpectralEstimate)]
+    heights = [2.2, 1.1] * len(result.scenes) + [1.8] * len(spectra)
     for profile in profiles:
         heights += [1.35] * len(profile.ranges)
     figure = Figure(figsize=(_WIDTH, sum(heights) + 1.0), layout="constrained")
     FigureCanvasAgg(figure)
     rows = figure.subplots(len(heights), 1, height_ratios=heights).tolist()
-    _draw_spectra(figure, result, rows[0], rows[1])
-    below = iter(rows[2:])
-    for letter, profile in zip("cdefghijk", profiles, strict=False):
-        _draw_profile(profile, letter, [next(below) for _ in profile.ranges])
+    below, letters = iter(rows), iter("abcdefghijklmnopqrstuvwxyz")
+    for index in range(len(result.scenes)):
+        _draw_spectra(figure, result, index, [next(below), next(below)], [next(letters), next(letters)])
+    for name in spectra:
+        _draw_estimate(result.estimates[name], name, next(letters), next(below))
+    for profile in profiles:
+        _draw_profile(profile, next(letters), [next(below) for _ in profile.ranges])
     figure.align_ylabels(rows)
     return figure
 
 
-def _draw_spectra(figure: Figure, result: FitResult, above: Axes, below: Axes) -> None:
-    """Panels (a) and (b)."""
-    series, axis_label, total = _series(result)
+def plot_profile(profile: ProfileLikelihood, path: str | PathLike[str]) -> None:
+    """Draw the profile likelihood of one parameter into a file.
+
+    Args:
+        profile: from ``FitResult.profile``.
+        path: the file; its ending, .png, .pdf or .svg, decides the format.
+
+    Raises:
+        OSError: the file cannot be written.
+        ValueError: the ending is none of the three.
+    """
+
+    def draw() -> Figure:
+        figure = Figure(figsize=(_WIDTH, 2.2), layout="constrained")
+        FigureCanvasAgg(figure)
+        where = "" if profile.wavelength_nm is None else f" at {profile.wavelength_nm:g} nm"
+        unit = {"rad": " (deg)", "nm": " (nm)"}.get(profile.unit, "")
+        place = np.asarray(profile.displayed(profile.values))
+        shown = _Profile(
+            label=f"{_LABELS.get(profile.name, profile.name.replace('_', ' '))}{where}{unit}",
+            place=place,
+            rise=profile.chi_square - profile.minimum,
+            best=float(profile.displayed(profile.best)),
+            others=[],
+            pieces=[(float(profile.displayed(a)), float(profile.displayed(b))) for a, b in profile.interval_95],
+            level=profile.level,
+            logarithmic=False,
+        )
+        _draw_profile(shown, "a", [figure.subplots()], whole=True)
+        return figure
+
+    write_figure(draw, path)
+
+
+def _draw_estimate(estimate: SpectralEstimate, name: str, letter: str, axes: Axes) -> None:
+    """A fitted spectrum and its intervals."""
+    nm = estimate.wavelengths_nm
+    for low, high in estimate.interval_95:
+        axes.fill_between(nm, low, high, color=_BAND, lw=0, zorder=0)
+    axes.plot(nm, estimate.value, color=_ACCENT, marker="o" if len(nm) <= MOST_MARKS else None, ms=2.2, zorder=3)
+    axes.set_xlabel("wavelength (nm)")
+    axes.set_ylabel(name)
+    _title(axes, letter, "fitted spectrum; band: 95 % interval at each wavelength")
+
+
+def _draw_spectra(figure: Figure, result: FitResult, index: int, panels: list[Axes], letters: list[str]) -> None:
+    """Measured and fitted spectra of one measurement, and their difference."""
+    above, below = panels
+    series, axis_label, total = _series(result, index)
     in_sigma = all(one.uncertainty is not None for one in series)
     shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.78, len(series)))
     handles = []
@@ -166,25 +220,28 @@ def _draw_spectra(figure: Figure, result: FitResult, above: Axes, below: Axes) -
         below.set_ylabel("residual")
     below.set_xlabel(axis_label)
     marked = "measured" if thinned == 1 else f"measured (one in {thinned})"
-    _title(above, "a", f"points: {marked}, lines: fitted")
+    of = "" if len(result.scenes) == 1 else f"{result.labels[index]}; "
+    _title(above, letters[0], f"{of}points: {marked}, lines: fitted")
     sigma = "σ, σ estimated" if result.uncertainty_estimated else "σ"
-    _title(below, "b", "measured minus fitted" + (f" (band: ±2{sigma})" if in_sigma else ""))
+    _title(below, letters[1], "measured minus fitted" + (f" (band: ±2{sigma})" if in_sigma else ""))
     shown_of_all = f" ({len(series)} of {total} shown)" if total > len(series) else ""
-    columns = min(4, len(handles))
-    figure.legend(
+    alone = len(result.scenes) == 1
+    legend = figure.legend if alone else above.legend
+    place_of_legend: dict[str, Any] = {"loc": "outside upper center"} if alone else {"loc": "best", "fontsize": 6}
+    legend(
         handles=handles,
-        loc="outside upper center",
-        ncols=columns,
-        title=_legend_title(result) + shown_of_all,
+        **place_of_legend,
+        ncols=min(4, len(handles)),
+        title=_legend_title(result.measurements[index]) + shown_of_all,
         handlelength=2.2,
         columnspacing=1.0,
         handletextpad=0.4,
     )
 
 
-def _series(result: FitResult) -> tuple[list[_Series], str, int]:
+def _series(result: FitResult, index: int) -> tuple[list[_Series], str, int]:
     """The curves to draw, the label of their axis, and how many there are in all."""
-    m = result.measurement
+    m = result.measurements[index]
     sigma = m.standard_uncertainty
     polar, azimuth = np.rad2deg(m.polar), np.rad2deg(m.azimuth)
 
@@ -194,8 +251,8 @@ def _series(result: FitResult) -> tuple[list[_Series], str, int]:
             place,
             m.reflectance_factor[part],
             None if sigma is None else sigma[part],
-            result.predicted[part],
-            result.residuals[part],
+            result.predictions[index][part],
+            result.misfits[index][part],
         )
 
     if m.wavelengths_nm.size == 1 and m.polar.size > 1:
@@ -224,8 +281,7 @@ def _chosen(all_of_them: list[Any]) -> list[Any]:
     return [all_of_them[i] for i in places]
 
 
-def _legend_title(result: FitResult) -> str:
-    m = result.measurement
+def _legend_title(m: Measurement) -> str:
     if m.hemispherical:
         return "view"
     if m.wavelengths_nm.size == 1 and m.polar.size > 1:
@@ -281,7 +337,7 @@ def _profile(result: FitResult, name: str) -> _Profile:
     minima = [(float(estimate.displayed(m.values[name])), m.chi_square) for m in result.minima]
     lowest = min([float(np.nanmin(chi_square)), *(chi for _, chi in minima)])
     best = float(estimate.displayed(estimate.value))
-    label = {"angle": "dihedral angle α", "roughness": "roughness m"}.get(name, name)
+    label = _LABELS.get(name, name.replace("_", " "))
     first, last = float(place[0]), float(place[-1])
     return _Profile(
         label=label if estimate.display_unit == "1" else f"{label} ({estimate.display_unit})",
@@ -298,8 +354,9 @@ def _profile(result: FitResult, name: str) -> _Profile:
     )
 
 
-def _draw_profile(profile: _Profile, letter: str, panels: list[Axes]) -> None:
-    for i, (axes, (low, high)) in enumerate(zip(panels, profile.ranges, strict=True)):
+def _draw_profile(profile: _Profile, letter: str, panels: list[Axes], whole: bool = False) -> None:
+    ranges = profile.ranges[:1] if whole else profile.ranges
+    for i, (axes, (low, high)) in enumerate(zip(panels, ranges, strict=True)):
         for piece in profile.pieces:
             axes.axvspan(*piece, color=_BAND, lw=0, zorder=0)
             for edge in piece:

@@ -1,46 +1,94 @@
-"""From a scene, a measurement and free parameters to weighted residuals, compiled once per kind of scene.
+"""A fit, ready to be evaluated: the layout of its unknowns, its numbers, and its compiled programs.
 
-Gain and offset enter linearly. They are eliminated exactly at every point of the search (variable
-projection), so that only the scene's own parameters are searched. Missing values have weight zero.
+Where nothing but gain and offset is unknown beside what is searched, they are eliminated exactly; whatever else
+is unknown is minimized over at each point of the search (variable projection).
 """
 
 import dataclasses
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 import vcavity_jax as vc
+from fitting.arrow import CONVERGED, End, Lane
+from fitting.information import Normal, normal_equations
+from fitting.layout import Data, Layout
 from fitting.measurement import Measurement
-from fitting.parameters import Parameter
-from fitting.programs import CHUNK, Data, Programs, programs_for
-from vcavity_jax.planning import interfaced_panel
-from vcavity_jax.resolution import INTERFACED_NARROWEST, NARROWEST
+from fitting.parameters import Parameter, SpectralParameter
+from fitting.programs import CHUNK, Programs
 
-MOST_NONLINEAR = 3
-_FIRST_GUESS = 0.01
+INNER_STEPS = 12
+"""Steps of the spectra alone; a monotone one takes 3 to 6 from anywhere."""
+
+GRID_STEPS = 8
+"""Steps of everything else at a point of the search."""
 
 
 class Evaluation(NamedTuple):
-    """Chi-square with gain and offset eliminated, at n parameter vectors.
+    """Chi-square at n points, minimized over what is not held.
 
     Args:
-        parameters: shape (n, P).
+        values: of the P numbers, in the scene's units, shape (n, P).
+        spectra: free spectra, shape (n, Q, U).
         chi_square: shape (n,).
-        linear: best gain and offset, shape (n, 2); 1 and 0 where they are not free.
-        variance: their variances at fixed nonlinear parameters, shape (n, 2).
+        variance: of the numbers for fixed held ones, shape (n, P); 0 for these, infinite where undetermined.
+        spectral_variance: likewise, shape (n, Q, U).
     """
 
-    parameters: np.ndarray
+    values: np.ndarray
+    spectra: np.ndarray
     chi_square: np.ndarray
-    linear: np.ndarray
     variance: np.ndarray
+    spectral_variance: np.ndarray
+
+    def take(self, index: Any) -> "Evaluation":
+        """Some of the points."""
+        return Evaluation(*(part[index] for part in self))
+
+
+class Descent(NamedTuple):
+    """Where n descents ended.
+
+    Args:
+        values: of the P numbers, in the scene's units, shape (n, P).
+        spectra: shape (n, Q, U).
+        chi_square: shape (n,).
+        matrix: see ``arrow.End``, shape (n, B, m, m).
+        status: see ``arrow.End``, shape (n,).
+        steps: shape (n,).
+        rejected: shape (n,).
+        predicted: recorded values of each measurement, shape (n, D, L).
+    """
+
+    values: np.ndarray
+    spectra: np.ndarray
+    chi_square: np.ndarray
+    matrix: np.ndarray
+    status: np.ndarray
+    steps: np.ndarray
+    rejected: np.ndarray
+    predicted: tuple[np.ndarray, ...]
+
+    def take(self, index: Any) -> "Descent":
+        """Some of them."""
+        kept: list[Any] = [part[index] for part in self[:-1]]
+        return Descent(*[*kept, tuple(p[index] for p in self.predicted)])
+
+    @property
+    def converged(self) -> np.ndarray:
+        """Which ones did, shape (n,)."""
+        return np.asarray((self.status == CONVERGED) & np.isfinite(self.chi_square))
+
+
+def joined(descents: Sequence[Descent]) -> Descent:
+    """Several lists of descents as one."""
+    plain: list[Any] = [np.concatenate(parts) for parts in zip(*(d[:-1] for d in descents), strict=True)]
+    predicted = zip(*(d.predicted for d in descents), strict=True)
+    return Descent(*[*plain, tuple(np.concatenate(parts) for parts in predicted)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,322 +96,383 @@ class Problem:
     """A fit, ready to be evaluated.
 
     Args:
-        scene: with the measurement's view.
-        measurement: what is fitted, with the standard uncertainty that the fit uses.
-        nonlinear: the free parameters of the scene.
-        linear: gain, offset, both or none, in this order.
-        is_angle: which nonlinear parameter is the dihedral angle, None if none is.
+        given: the free parameters as they were given.
+        labels: of the measurements.
+        measurements: what is fitted, with the standard uncertainties that the fit uses.
+        numbers: the P unknown numbers: those searched, then the others, gain and offset last.
+        spectral: the unknown spectra, as given, with their names.
+        free_names: names of the Q spectra that are free at each wavelength.
+        layout: which unknown goes where.
         data: the numbers.
-        programs: the model and what is compiled of it.
-        place: puts the nonlinear parameters, and ``data.known``, into the scene.
+        programs: what is compiled.
+        starts: of the free spectra, shape (S, Q, U).
+        angles: which searched numbers are dihedral angles, and of which measurements.
     """
 
-    scene: Any
-    measurement: Measurement
-    nonlinear: tuple[Parameter, ...]
-    linear: tuple[Parameter, ...]
-    is_angle: int | None
+    given: tuple[Any, ...]
+    labels: tuple[str, ...]
+    measurements: tuple[Measurement, ...]
+    numbers: tuple[Parameter, ...]
+    spectral: tuple[SpectralParameter, ...]
+    free_names: tuple[str, ...]
+    layout: Layout
     data: Data
     programs: Programs
-    place: Callable[[Sequence[Any], Sequence[Any]], Any]
+    starts: np.ndarray
+    angles: dict[int, tuple[int, ...]]
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """All free parameters, the nonlinear ones first."""
-        return self.nonlinear + self.linear
+    def searched(self) -> tuple[Parameter, ...]:
+        """The numbers whose whole range is searched."""
+        return tuple(p for p in self.numbers if p.searched)
 
     @property
-    def linear_slots(self) -> list[int]:
-        """Columns of ``Evaluation.linear`` that are free."""
-        return [("gain", "offset").index(p.role) for p in self.linear]
+    def linear(self) -> tuple[int, ...]:
+        """Which numbers the recorded values depend on linearly: gain and offset."""
+        return tuple(i for i, p in enumerate(self.numbers) if p.role in ("gain", "offset"))
+
+    @property
+    def tabular(self) -> bool:
+        """Beside what is searched only gain and offset are unknown: they can be eliminated exactly."""
+        others = len(self.numbers) - len(self.searched)
+        return bool(self.searched) and others == len(self.linear) and not self.layout.free_spectra
+
+    @property
+    def unknowns(self) -> int:
+        """Count of all unknowns that the data or a prior have a say in."""
+        used = self._measured_wavelengths() | (np.asarray(self.data.spectral_tightness) > 0).all(axis=0)
+        return len(self.numbers) + self.layout.free_spectra * int(used.sum())
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Values and priors less free parameters."""
-        used = int(np.sum(np.asarray(self.data.weights) > 0))
-        return used + sum(p.prior is not None for p in self.parameters) - len(self.parameters)
+        """Values and priors less unknowns."""
+        used = sum(int(np.sum(np.asarray(w) > 0)) for w in self.data.weights)
+        priors = int(np.sum(np.asarray(self.data.tightness) > 0))
+        spectral = int(np.sum(np.asarray(self.data.spectral_tightness) > 0))
+        return used + priors + spectral - self.unknowns
+
+    def _measured_wavelengths(self) -> np.ndarray:
+        used = np.zeros(self.layout.blocks, dtype=bool)
+        if self.layout.free_spectra:
+            for part, weights in zip(self.layout.parts, self.data.weights, strict=True):
+                used[part.places] |= (np.asarray(weights) > 0).any(axis=0)
+        return used
+
+    @property
+    def lanes(self) -> int:
+        """Descents per call: idle ones cost as much as busy ones, so a smooth average over angles has few."""
+        random = any(not isinstance(part.scene.surface, vc.VGrooves) for part in self.layout.parts)
+        if self.tabular and len(self.searched) == 1:
+            return 2 if random else 5
+        return 4 if random else 8
+
+    @property
+    def start_values(self) -> np.ndarray:
+        """The numbers' starts, the middle of the range for those searched; shape (P,)."""
+        return np.array(
+            [
+                p.from_natural((p.natural(p.lower) + p.natural(p.upper)) / 2) if p.searched else p.start
+                for p in self.numbers
+            ],
+            dtype=np.float64,
+        ).reshape(len(self.numbers))
 
     def with_uncertainty_scaled(self, factor: float) -> "Problem":
         """The same problem with all standard uncertainties multiplied by a factor; priors stay."""
-        sigma = self.measurement.standard_uncertainty
-        assert sigma is not None
-        return dataclasses.replace(
-            self,
-            measurement=dataclasses.replace(self.measurement, standard_uncertainty=sigma * factor),
-            data=self.data._replace(weights=self.data.weights / jnp.asarray(factor, self.data.weights.dtype)),
-        )
+        scaled = []
+        for m in self.measurements:
+            assert m.standard_uncertainty is not None
+            scaled.append(dataclasses.replace(m, standard_uncertainty=m.standard_uncertainty * factor))
+        weights = tuple(w / jnp.asarray(factor, w.dtype) for w in self.data.weights)
+        return dataclasses.replace(self, measurements=tuple(scaled), data=self.data._replace(weights=weights))
 
-    def evaluate(self, parameters: Float[np.ndarray, "n p"]) -> Evaluation:
-        """Chi-square, gain and offset at many parameter vectors, in the scene's units."""
-        points = np.asarray(parameters, dtype=np.float64).reshape(-1, len(self.nonlinear))
-        if not len(points):
-            return Evaluation(points, np.empty(0), np.empty((0, 2)), np.empty((0, 2)))
-        # Narrow grooves need many reflections, and a chunk waits for its slowest member.
-        order = np.lexsort(points.T[:: -1 if self.is_angle is None else 1])
-        padded = points[np.append(order, np.repeat(order[-1:], -len(order) % CHUNK))]
-        # Cut up by NumPy: each slice of a JAX array would be one more small program to compile.
-        chunks = padded.astype(self.data.values.dtype).reshape(-1, CHUNK, points.shape[1])
-        compiled = self.programs.chunk(self.data)
-        results = [compiled(chunk, self.data) for chunk in chunks]
-        columns = zip(*results, strict=True)
-        parts = [np.concatenate([np.asarray(part) for part in column]) for column in columns]
-        back = np.argsort(order, kind="stable")
-        chi_square, linear, variance = (np.asarray(part[: len(order)][back], np.float64) for part in parts)
-        return Evaluation(points, chi_square, linear, variance)
+    def natural(self, values: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "n p"]:
+        """Coordinates of the search."""
+        columns = [p.natural(values[:, i]) for i, p in enumerate(self.numbers)]
+        return np.stack(columns, axis=1) if columns else np.empty((len(values), 0))
 
-    def alone(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Chi-square, gain and offset, their variances and the model, if no parameter of the scene is free.
+    def from_natural(self, natural: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "n p"]:
+        """The inverse of ``natural``."""
+        columns = [p.from_natural(natural[:, i]) for i, p in enumerate(self.numbers)]
+        return np.stack(columns, axis=1) if columns else np.empty((len(natural), 0))
 
-        Each has a first axis of length 1, as if there were one parameter vector.
-        """
-        self.programs.begin_alone(self.data)
-        parts = self.programs.compiled["alone"].result()(self.data)
-        chi_square, linear, variance, predicted = (np.asarray(part, np.float64)[None] for part in parts)
-        return chi_square, linear, variance, predicted
-
-    def fitted_scene(self, values: Float[np.ndarray, " p"]) -> Any:
-        """The scene with the nonlinear parameters put in."""
-        dtype = self.data.values.dtype
-        return self.place([jnp.asarray(value, dtype) for value in values], self.data.known)
-
-    def jacobian(
-        self, predicted: Float[np.ndarray, "d l"], slopes: Float[np.ndarray, "p d l"]
-    ) -> Float[np.ndarray, "rows parameters"]:
-        """Derivative of the residuals with respect to all parameters, at unit gain; priors have a row each.
+    def descend(
+        self,
+        values: Float[np.ndarray, "n p"],
+        spectra: Float[np.ndarray, "n q u"],
+        movable: Bool[np.ndarray, "n p"] | None = None,
+        spectra_movable: Bool[np.ndarray, "n q u"] | None = None,
+        inner: int = 0,
+        outer: int = 60,
+    ) -> Descent:
+        """Minimize chi-square from each start; see ``arrow.descend``.
 
         Args:
-            predicted: the model's reflectance factor without gain and offset.
-            slopes: derivative of the prediction with respect to the nonlinear parameters.
+            values: the numbers, in the scene's units.
+            spectra: the free spectra.
+            movable: which numbers may move; None for all.
+            spectra_movable: which values of the spectra may; None for all.
+            inner: most steps of the spectra alone.
+            outer: most steps of all; with neither the model is only evaluated and differentiated.
         """
-        weights = np.asarray(self.data.weights, np.float64)
-        columns = [weights * slope for slope in slopes]
-        columns += [weights * (predicted if p.role == "gain" else 1.0) for p in self.linear]
-        data_rows = np.stack([column.ravel() for column in columns], axis=1)
-        own = [0.0 if p.prior is None else 1 / p.prior[1] for p in self.parameters]
-        return np.concatenate([data_rows, np.diag(own)])
-
-
-def build(
-    scene: Any,
-    measurement: Measurement,
-    parameters: Sequence[Parameter],
-    standard_uncertainty: float | int | None,
-    tolerance: float,
-) -> Problem:
-    """Check a fit's inputs and make it ready.
-
-    Args:
-        scene: any view; its illumination must be the measurement's.
-        measurement: what is fitted.
-        parameters: at most three of the scene, and gain and offset at will; at least one in all.
-        standard_uncertainty: fraction; takes precedence over the measurement's own; None for that.
-        tolerance: bound on the model's numerical error.
-
-    Raises:
-        ValueError: anything that does not fit together, in one line.
-    """
-    nonlinear, linear = _sorted_parameters(parameters)
-    _check_light(scene.illumination, measurement.illumination)
-    scene = vc.Scene(scene.surface, scene.material, scene.illumination, measurement.view)
-    slots = [_slot(scene, parameter) for parameter in nonlinear]
-    for i, slot in enumerate(slots):
-        if slot in slots[:i]:
-            raise ValueError(
-                f"parameters {nonlinear[slots.index(slot)].name!r} and {nonlinear[i].name!r} are the same "
-                "number of the scene; expected each number once"
+        count, lanes = len(values), self.lanes
+        compiled = self.programs.descent(self.data, lanes, False, self.tabular)
+        dtype = self.data.center.dtype
+        movable = np.ones(values.shape, dtype=bool) if movable is None else movable
+        spectra_movable = np.ones(spectra.shape, dtype=bool) if spectra_movable is None else spectra_movable
+        natural = self.natural(values)
+        # Narrow grooves need many steps, and a call waits for its slowest member.
+        order = np.lexsort(natural.T[::-1]) if natural.shape[1] else np.arange(count)
+        ends: list[End] = []
+        for first in range(0, count, lanes):
+            chosen = order[np.minimum(np.arange(first, first + lanes), count - 1)]
+            # The last call is filled up with copies that stay where they are.
+            busy = np.arange(first, first + lanes) < count
+            ends.append(
+                compiled(
+                    Lane(
+                        natural[chosen].astype(dtype),  # type: ignore[arg-type]
+                        spectra[chosen].astype(dtype),  # type: ignore[arg-type]
+                        movable[chosen],  # type: ignore[arg-type]
+                        spectra_movable[chosen],  # type: ignore[arg-type]
+                        (inner * busy).astype(np.int32),  # type: ignore[arg-type]
+                        (outer * busy).astype(np.int32),  # type: ignore[arg-type]
+                    ),
+                    self.data,
+                )
             )
-    leaves, tree = jax.tree.flatten(scene)
-    known = _passed_on(scene, slots)
+        back = np.argsort(order, kind="stable")
 
-    def place(values: Sequence[Any], others: Sequence[Any]) -> Any:
-        filled = list(leaves)
-        for slot, value in zip((*slots, *known), (*values, *others), strict=True):
-            filled[slot] = value
-        return jax.tree.unflatten(tree, filled)
+        def gathered(parts: Sequence[Any]) -> np.ndarray:
+            whole = np.concatenate([np.asarray(part) for part in parts])[:count][back]
+            return whole.astype(np.float64) if whole.dtype.kind == "f" else whole
 
-    fixed = tuple(leaves[i] for i in known)
-    for index, parameter in enumerate(nonlinear):
-        for bound in (parameter.lower, parameter.upper):
-            inside = [np.asarray(leaves[s]) for s in slots]
-            inside[index] = np.asarray(bound)
-            _recheck(place(inside, fixed), f"parameter {parameter.name!r} at its bound: ")
-    is_angle = None
-    if isinstance(scene.surface, vc.VGrooves):
-        angle = next(i for i, leaf in enumerate(leaves) if leaf is scene.surface.angle)
-        is_angle = slots.index(angle) if angle in slots else None
-    measurement = _with_uncertainty(measurement, standard_uncertainty)
-    data = _data(measurement, nonlinear, linear, fixed)
-    roles = tuple(p.role for p in linear)
-    scales = tuple(p.scale for p in nonlinear)
-    smallest_angle = None if is_angle is None else nonlinear[is_angle].lower
-    smallest_index = _smallest_index(scene, slots, nonlinear)
-    narrowest = NARROWEST if interfaced_panel(scene.material) is None else INTERFACED_NARROWEST
-    if smallest_angle is not None and smallest_angle < narrowest:
-        raise ValueError(
-            f"dihedral angles from {math.degrees(smallest_angle):g} degrees; expected a lower bound of at least "
-            f"{math.degrees(narrowest):g} degrees, the narrowest groove that is modeled"
+        columns: list[Any] = [gathered(column) for column in zip(*(end[:-1] for end in ends), strict=True)]
+        predicted = tuple(gathered(p) for p in zip(*(end.predicted for end in ends), strict=True))
+        ended = self.from_natural(columns[0])
+        # What is held keeps its exact value: the logarithm and its inverse would round it.
+        ended = np.where(movable, ended, values)
+        return Descent(*[ended, *columns[1:], predicted])
+
+    def normal(self, at: Descent) -> Normal:
+        """Normal equations at the ends of descents, in the scene's units."""
+        logarithmic = np.asarray(self.layout.logarithmic, bool)
+        units = np.where(logarithmic, at.values, 1.0)
+        tight = np.asarray(self.data.tightness, np.float64)
+        # The residual of a prior of the logarithm has the slope 1/(value × spread) in the value.
+        of_logarithm = np.asarray(self.layout.prior_of_logarithm, bool)
+        slopes = tight * units / np.where(of_logarithm, at.values, 1.0)
+        return normal_equations(at.matrix, slopes, units, self.layout.free_spectra)
+
+    def evaluation(self, at: Descent, held: Bool[np.ndarray, " p"]) -> Evaluation:
+        """Ends of descents as points of a profile of what was held."""
+        normal = self.normal(at)
+        covariance = normal.covariance(held)
+        variance = np.diagonal(covariance, axis1=1, axis2=2)
+        variance = np.where(np.isnan(variance), np.inf, variance)
+        spectral = (
+            normal.spectral_variance(np.where(np.isnan(covariance), np.inf, covariance))
+            if (self.layout.free_spectra)
+            else np.zeros(at.spectra.shape)
         )
-    programs = programs_for(
-        scene, slots, known, scales, roles, tolerance, (smallest_angle, smallest_index), data.values.shape, place
-    )
-    problem = Problem(scene, measurement, nonlinear, linear, is_angle, data, programs, place)
-    if problem.degrees_of_freedom < 0:
-        raise ValueError(
-            f"{int(np.sum(np.asarray(data.weights) > 0))} measured values for {len(parameters)} free "
-            "parameters; expected at least as many values and priors as free parameters"
-        )
-    return problem
+        spectral = np.where(np.isnan(spectral), np.inf, spectral)
+        return Evaluation(at.values, at.spectra, at.chi_square, variance, spectral)
+
+    def evaluate(
+        self, searched: Float[np.ndarray, "n s"], near: Evaluation | None = None, steps: int = GRID_STEPS
+    ) -> Evaluation:
+        """Chi-square at values of what is searched, minimized over all else.
+
+        Args:
+            searched: in the scene's units.
+            near: points to start from; the nearest one is taken. None for the usual starts.
+            steps: most steps of all else.
+        """
+        points = np.asarray(searched, dtype=np.float64)
+        values = np.repeat(self.start_values[None], len(points), axis=0)
+        values[:, : points.shape[1]] = points
+        if self.tabular:
+            return self._from_table(values)
+        held = np.arange(len(self.numbers)) < points.shape[1]
+        spectra = np.repeat(self.starts[None, 0], len(points), axis=0)
+        if near is not None:
+            chosen = self._nearest(values, near, held)
+            spectra = near.spectra[chosen]
+            values = np.where(held, values, near.values[chosen])
+        best = self._relaxed(values, spectra, held, steps)
+        for other in self.starts[1:] if near is None else ():
+            again = self._relaxed(values, np.repeat(other[None], len(points), axis=0), held, steps)
+            best = self._better(best, again, held, steps)
+        return self.evaluation(best, held)
+
+    def _nearest(self, values: np.ndarray, near: Evaluation, held: np.ndarray) -> np.ndarray:
+        own, there = self.natural(values)[:, held], self.natural(near.values)[:, held]
+        usable = np.isfinite(near.chi_square) & np.isfinite(near.spectra).all(axis=(1, 2))
+        there = np.where(usable[:, None], there, np.inf)
+        with np.errstate(invalid="ignore"):
+            apart = (
+                np.max(np.abs(own[:, None] - there[None]), axis=2)
+                if held.any()
+                else np.zeros((len(own), len(there)))
+            )
+        # Of equally near points the lowest.
+        lowest = np.argsort(near.chi_square, kind="stable")
+        return np.asarray(lowest[np.argmin(apart[:, lowest], axis=1)])
+
+    def _relaxed(self, values: np.ndarray, spectra: np.ndarray, held: np.ndarray, steps: int) -> Descent:
+        movable = np.repeat(~held[None], len(values), axis=0)
+        return self.descend(values, spectra, movable, inner=INNER_STEPS, outer=steps if (~held).any() else 0)
+
+    def _better(self, first: Descent, second: Descent, held: np.ndarray, steps: int) -> Descent:
+        """The better of two starts: at each wavelength, then together."""
+        each = [
+            np.where(np.isfinite(d.matrix[:, :, -1, -1]), d.matrix[:, :, -1, -1], np.inf) for d in (first, second)
+        ]
+        gained = each[1] < each[0] - 1e-9 * (1 + each[0])
+        rows = np.flatnonzero(gained.any(axis=1))
+        if not len(rows):
+            return first
+        lower = np.where(second.chi_square[rows] < first.chi_square[rows], 1, 0)
+        values = np.where(lower[:, None] == 1, second.values[rows], first.values[rows])
+        mixed = np.where(gained[rows][:, None], second.spectra[rows], first.spectra[rows])
+        again = self._relaxed(values, mixed, held, steps)
+        candidates = [first.take(rows), second.take(rows), again]
+        costs = np.stack([np.where(np.isfinite(c.chi_square), c.chi_square, np.inf) for c in candidates])
+        choice = np.argmin(costs, axis=0)
+        parts: list[Any] = []
+        for new, *olds in zip(first[:-1], *(c[:-1] for c in candidates), strict=True):
+            new = new.copy()
+            new[rows] = np.stack(olds)[choice, np.arange(len(rows))]
+            parts.append(new)
+        predicted = []
+        for i, new in enumerate(first.predicted):
+            new = new.copy()
+            new[rows] = np.stack([c.predicted[i] for c in candidates])[choice, np.arange(len(rows))]
+            predicted.append(new)
+        return Descent(*[*parts, tuple(predicted)])
+
+    def factors(self, values: Float[np.ndarray, "n p"]) -> list[np.ndarray]:
+        """True reflectance factors of each measurement, shape (n, D, L) each, without free spectra."""
+        count = len(values)
+        natural = self.natural(values)
+        order = np.lexsort(natural.T[::-1])
+        padded = natural[np.append(order, np.repeat(order[-1:], -count % CHUNK))]
+        # Cut up by NumPy: each slice of a JAX array would be one more small program to compile.
+        chunks = padded.astype(self.data.center.dtype).reshape(-1, CHUNK, natural.shape[1])
+        compiled = self.programs.table(self.data)
+        results = [compiled(chunk, self.data.known) for chunk in chunks]
+        back = np.argsort(order, kind="stable")
+        return [
+            np.concatenate([np.asarray(r, np.float64) for r in part])[back] for part in zip(*results, strict=True)
+        ]
+
+    def _from_table(self, values: np.ndarray) -> Evaluation:
+        """Gain and offset eliminated exactly."""
+        count = len(values)
+        nothing = np.zeros((count, 0, self.layout.blocks))
+        variance = np.zeros(values.shape)
+        chi_square = np.empty(count)
+        values = values.copy()
+        for first in range(0, count, 16 * CHUNK):
+            some = slice(first, first + 16 * CHUNK)
+            found = self._eliminated(values[some], self.factors(values[some]))
+            values[some][:, self.linear], chi_square[some], variance[some][:, self.linear] = found
+        return Evaluation(values, nothing, chi_square, variance, nothing)
+
+    def _eliminated(
+        self, values: np.ndarray, factors: list[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Best gains and offsets, chi-square and conditional variances."""
+        count, linear = len(values), self.linear
+        tight, center = (np.asarray(a, np.float64) for a in (self.data.tightness, self.data.center))
+        # A row for each value, then one for each prior of a gain or offset.
+        targets, columns = [], [[np.zeros((count, 0))] for _ in linear]
+        for part, factor, measured, weights in zip(
+            self.layout.parts, factors, self.data.values, self.data.weights, strict=True
+        ):
+            w = np.asarray(weights, np.float64).ravel()
+            roles = {number: role for role, number in part.roles}
+            shining = w * factor.reshape(count, -1)
+            target = np.broadcast_to(w * np.asarray(measured, np.float64).ravel(), shining.shape)
+            targets.append(target if "gain" in roles.values() else target - shining)
+            for column, number in zip(columns, linear, strict=True):
+                role = roles.get(number)
+                column.append(
+                    shining if role == "gain" else np.broadcast_to(w * (role == "offset"), shining.shape)
+                )
+        rows = [np.broadcast_to(center[i] * tight[i], (count, 1)) for i in linear]
+        whole = np.concatenate([*targets, *rows], axis=1)
+        for k, number in enumerate(linear):
+            own = np.zeros((count, len(linear)))
+            own[:, k] = tight[number]
+            columns[k].append(own)
+        residual, found, spread = eliminate(whole, [np.concatenate(c, axis=1) for c in columns])
+        free = [i for i in range(len(self.numbers)) if i not in linear]
+        logs = np.where(self.layout.prior_of_logarithm, np.log(np.where(values > 0, values, 1.0)), values)
+        priors = tight[free] * (logs[:, free] - center[free])
+        chi_square = np.sum(residual**2, axis=1) + np.sum(priors**2, axis=1)
+        return found, chi_square, spread
+
+    def kinks(self, slot: int) -> Float[np.ndarray, " k"]:
+        """Allowed values of a number at which the model is not smooth; none unless it is a dihedral angle."""
+        found = [np.empty(0)]
+        parameter = self.numbers[slot]
+        for index in self.angles.get(slot, ()):
+            found.append(vc.kink_angles(self.layout.parts[index].scene, parameter.lower, parameter.upper))
+        return np.unique(np.concatenate(found))
+
+    def fitted_scenes(self, values: Float[np.ndarray, " p"], spectra: Float[np.ndarray, "q u"]) -> tuple[Any, ...]:
+        """The scenes with all unknowns put in, as nominally seen: a tilt is the instrument's."""
+        dtype = self.data.center.dtype
+        natural = jnp.asarray(self.natural(values[None])[0], dtype)
+        own = jnp.asarray(spectra, dtype)
+        scenes = []
+        for part, known in zip(self.layout.parts, self.data.known, strict=True):
+            numbers, rows = self.layout.inputs(part, natural, own)
+            exact = [jnp.asarray(values[i], dtype) for _, i in part.slots]
+            numbers = jnp.stack([*exact, *numbers[len(exact) :]]) if exact else numbers
+            scenes.append(self.layout.placed(part, numbers, rows, known))
+        return tuple(scenes)
 
 
-def _sorted_parameters(
-    parameters: Sequence[Parameter],
-) -> tuple[tuple[Parameter, ...], tuple[Parameter, ...]]:
-    if isinstance(parameters, Parameter) or not all(isinstance(p, Parameter) for p in parameters):
-        raise ValueError("parameters are not a list of Parameter; expected, say, [free.angle(), free.gain()]")
-    names = [p.name for p in parameters]
-    repeated = next((name for name in names if names.count(name) > 1), None)
-    if repeated is not None:
-        raise ValueError(f"parameter {repeated!r} is given twice; expected distinct names")
-    nonlinear = tuple(p for p in parameters if p.role == "scene")
-    linear = tuple(sorted((p for p in parameters if p.role != "scene"), key=lambda p: p.role))
-    if len({p.role for p in linear}) < len(linear):
-        raise ValueError("gain or offset is given twice; expected each at most once")
-    if not parameters:
-        raise ValueError("no parameter is free; expected at least one, say free.angle()")
-    if len(nonlinear) > MOST_NONLINEAR:
-        raise ValueError(
-            f"{len(nonlinear)} parameters of the scene are free ({', '.join(p.name for p in nonlinear)}); "
-            f"expected at most {MOST_NONLINEAR}, because all their range is searched "
-            "(gain and offset are extra)"
-        )
-    return nonlinear, linear
+def eliminate(
+    target: Float[np.ndarray, "n rows"], columns: Sequence[Float[np.ndarray, "n rows"]]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Least squares of targets on a few columns by Gram-Schmidt, at n points.
 
-
-def _check_light(scene: Any, measured: Any) -> None:
-    mine, theirs = jax.tree.leaves(scene), jax.tree.leaves(measured)
-    same = type(scene) is type(measured) and len(mine) == len(theirs)
-    if same:
-        pairs = zip(mine, theirs, strict=True)
-        same = all(np.allclose(np.asarray(a), np.asarray(b), rtol=0, atol=1e-6) for a, b in pairs)
-    if not same:
-        raise ValueError(
-            f"the scene is lit by {_short(scene)}, the measurement by {_short(measured)}; expected the same "
-            "illumination: set it in the scene, or correct the measurement's"
-        )
-
-
-def _short(light: Any) -> str:
-    numbers = ", ".join(f"{float(leaf):.6g}" for leaf in jax.tree.leaves(light))
-    return f"{type(light).__name__}({numbers})"
-
-
-def _slot(scene: Any, parameter: Parameter) -> int:
-    """Which leaf of the scene a parameter is."""
-    assert parameter.where is not None
-    try:
-        target = parameter.where(scene)
-        marked = eqx.tree_at(parameter.where, scene, mark := _Mark())
-    except (AttributeError, ValueError, TypeError, KeyError, IndexError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(
-            f"parameter {parameter.name!r}: its place is not in this scene of {type(scene.surface).__name__} "
-            f"and {type(scene.material).__name__} ({reason}); expected one number of the scene"
-        ) from None
-    if not eqx.is_array(target):
-        raise ValueError(
-            f"parameter {parameter.name!r}: its place holds a {type(target).__name__}; expected one number"
-        )
-    if target.shape != () or not jnp.issubdtype(target.dtype, jnp.floating):
-        raise ValueError(
-            f"parameter {parameter.name!r}: its place holds an array of shape {target.shape} and type "
-            f"{target.dtype}; expected one real number"
-        )
-    return next(i for i, leaf in enumerate(jax.tree.leaves(marked)) if leaf is mark)
-
-
-class _Mark:
-    """Found again among the leaves of a scene."""
-
-
-def _passed_on(scene: Any, slots: Sequence[int]) -> tuple[int, ...]:
-    """Leaves of the scene that are handed to the compiled programs instead of being compiled in.
-
-    They are the material's, so that other materials of the same kind need no new compilation. A real index
-    stays in: the model must see that it is at least 1, and plans its work for it.
+    Returns:
+        The residuals, the coefficients and their variances, shape (n, columns). A column that adds nothing to
+        those before it has the coefficient 0 and an infinite variance; so have those that it could stand for.
     """
-    return tuple(
-        i
-        for i, (names, leaf) in enumerate(_named_leaves(scene))
-        if names[0] == "material" and i not in slots and not (names[-1] == "index" and not jnp.iscomplexobj(leaf))
-    )
-
-
-def _named_leaves(scene: Any) -> list[tuple[tuple[str, ...], Any]]:
-    """The leaves in the order of ``jax.tree.leaves``, each after the names that lead to it."""
-    found = jax.tree.leaves_with_path(scene)
-    return [(tuple(str(getattr(key, "name", key)) for key in path), leaf) for path, leaf in found]
-
-
-def _smallest_index(scene: Any, slots: Sequence[int], nonlinear: Sequence[Parameter]) -> float | None:
-    """The least index of an interface that is searched; None if none is."""
-    if interfaced_panel(scene.material) is None:
-        return None
-    leaves = _named_leaves(scene)
-    searched = [p.lower for slot, p in zip(slots, nonlinear, strict=True) if leaves[slot][0][-1] == "index"]
-    return min(searched, default=None)
-
-
-def _recheck(node: Any, prefix: str) -> None:
-    """Let the scene's parts check a bound as they check a user's own numbers."""
-    for field in dataclasses.fields(node):
-        part = getattr(node, field.name)
-        if isinstance(part, eqx.Module):
-            _recheck(part, prefix)
-    check = getattr(node, "__check_init__", None)
-    if check is not None:
-        try:
-            check()
-        except ValueError as error:
-            raise ValueError(prefix + str(error)) from None
-
-
-def _with_uncertainty(measurement: Measurement, standard_uncertainty: float | int | None) -> Measurement:
-    """The measurement with the uncertainty that the fit uses, or a start for its estimate."""
-    if standard_uncertainty is None and measurement.standard_uncertainty is not None:
-        return measurement
-    sigma = _FIRST_GUESS if standard_uncertainty is None else standard_uncertainty
-    if not (isinstance(sigma, float | int) and 0 < sigma < math.inf):
-        raise ValueError(f"standard_uncertainty is {sigma!r}; expected one positive number, as a fraction")
-    full = np.full(measurement.reflectance_factor.shape, float(sigma))
-    return dataclasses.replace(measurement, standard_uncertainty=full)
-
-
-def _data(
-    measurement: Measurement,
-    nonlinear: tuple[Parameter, ...],
-    linear: tuple[Parameter, ...],
-    known: tuple[Any, ...],
-) -> Data:
-    values = measurement.reflectance_factor
-    present = ~np.isnan(values)
-    if not present.any():
-        raise ValueError("the measurement holds no value (all are NaN); expected at least one")
-    sigma = measurement.standard_uncertainty
-    assert sigma is not None
-    weights = np.where(present, 1 / np.where(present, sigma, 1.0), 0.0)
-    own: dict[str, Parameter] = {p.role: p for p in linear}
-    priors = [p.prior for p in nonlinear] + [own[r].prior if r in own else None for r in ("gain", "offset")]
-    bounds = [[p.natural(p.lower) for p in nonlinear], [p.natural(p.upper) for p in nonlinear]]
-
-    def array(numbers: Any) -> jax.Array:
-        return jnp.asarray(np.asarray(numbers), jnp.result_type(float))
-
-    return Data(
-        values=array(np.where(present, values, 0.0)),
-        weights=array(weights),
-        prior_mean=array([0.0 if p is None else p[0] for p in priors]),
-        prior_weight=array([0.0 if p is None else 1 / p[1] for p in priors]),
-        bounds=array(bounds),
-        step=array([p.step_tolerance for p in nonlinear]),
-        known=known,
-    )
+    count, size = len(target), len(columns)
+    directions: list[np.ndarray] = []
+    triangle = np.zeros((count, size, size))
+    dead = np.zeros((count, size), bool)
+    residual = np.array(target)
+    right = np.zeros((count, size))
+    for k, column in enumerate(columns):
+        own = np.array(column)
+        norm = np.sum(own * own, axis=1)
+        for i, direction in enumerate(directions):
+            triangle[:, i, k] = np.sum(direction * own, axis=1)
+            own -= triangle[:, i, k, None] * direction
+        rest = np.sum(own * own, axis=1)
+        dead[:, k] = rest <= 1e-13 * norm
+        length = np.sqrt(np.where(dead[:, k], 1.0, rest))
+        triangle[:, k, k] = length
+        direction = np.where(dead[:, k, None], 0.0, own / length[:, None])
+        directions.append(direction)
+        right[:, k] = np.sum(direction * residual, axis=1)
+        residual -= right[:, k, None] * direction
+    inverse = np.zeros((count, size, size))
+    for k in reversed(range(size)):
+        inverse[:, k, k] = np.where(dead[:, k], 0.0, 1 / triangle[:, k, k])
+        for j in range(k + 1, size):
+            others = np.einsum("ni,ni->n", triangle[:, k, k + 1 :], inverse[:, k + 1 :, j])
+            inverse[:, k, j] = -others / triangle[:, k, k]
+    found = np.einsum("nij,nj->ni", inverse, right)
+    variance = np.sum(inverse**2, axis=2)
+    for k in range(size):
+        mimicked = (dead[:, k, None] & (np.abs(triangle[:, :, k]) > 0)) | (dead & (np.arange(size) == k))
+        variance = np.where(mimicked, np.inf, variance)
+    return residual, found, variance

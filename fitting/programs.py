@@ -1,4 +1,4 @@
-"""What is compiled of a scene: the model, and its chi-square with gain and offset eliminated.
+"""What is compiled of a fit: the table of its predictions and the descent from many starts at once.
 
 The known directions and surface of a scene are compiled in, because the model picks cheaper paths for them;
 the material is passed on. Programs are kept, so that the next fit of the same kind of scene, with the same
@@ -6,137 +6,101 @@ directions, starts at once, whatever its material.
 """
 
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-import vcavity_jax as vc
+from fitting.arrow import Lane, descend
+from fitting.layout import Data, Layout
 
 CHUNK = 32
-"""Parameter vectors per call of the compiled model: few, lest wide grooves wait for narrow ones."""
+"""Vectors of numbers per call of the table: few, lest wide grooves wait for narrow ones."""
 
-
-class Data(NamedTuple):
-    """All numbers that may change without a new compilation.
-
-    Args:
-        values: measured reflectance factors, 0 where missing, shape (D, L).
-        weights: inverse standard uncertainties, 0 where missing, shape (D, L).
-        prior_mean: of the P nonlinear parameters, then gain and offset, shape (P + 2,).
-        prior_weight: inverse standard deviations of the priors, 0 for none, shape (P + 2,).
-        bounds: natural coordinates of the P lower, then the P upper bounds, shape (2, P).
-        step: steps in the natural coordinates at which a polish stops, shape (P,).
-        known: numbers of the scene that are neither free nor compiled in.
-    """
-
-    values: Array
-    weights: Array
-    prior_mean: Array
-    prior_weight: Array
-    bounds: Array
-    step: Array
-    known: tuple[Array, ...]
-
-
-def eliminate(
-    target: Float[Array, " rows"], columns: Sequence[Float[Array, " rows"]]
-) -> tuple[Float[Array, " rows"], list[Array], list[Array]]:
-    """Least squares of a target on at most two columns by Gram-Schmidt, differentiable.
-
-    Returns:
-        The residual, the coefficients and their variances. A column that adds nothing to the one before it
-        has the coefficient 0 and an infinite variance.
-    """
-    if not columns:
-        return target, [], []
-    infinite = jnp.asarray(jnp.inf, target.dtype)
-    first = columns[0]
-    norm = first @ first
-    zero = norm == 0
-    inverse = jnp.where(zero, jnp.zeros_like(norm), 1 / jnp.where(zero, jnp.ones_like(norm), norm))
-    projection = inverse * (first @ target)
-    if len(columns) == 1:
-        return target - first * projection, [projection], [jnp.where(zero, infinite, inverse)]
-    shadow = inverse * (first @ columns[1])
-    second = columns[1] - first * shadow
-    rest = second @ second
-    flat = rest <= 1e-13 * (columns[1] @ columns[1])
-    inverse_rest = jnp.where(flat, jnp.zeros_like(rest), 1 / jnp.where(flat, jnp.ones_like(rest), rest))
-    other = inverse_rest * (second @ target)
-    residual = target - first * projection - second * other
-    variances = [
-        jnp.where(zero | (flat & (shadow != 0)), infinite, inverse + shadow * shadow * inverse_rest),
-        jnp.where(flat, infinite, inverse_rest),
-    ]
-    return residual, [projection - shadow * other, other], variances
-
-
-def project(
-    predicted: Array, prior_residuals: Array, data: Data, roles: tuple[str, ...]
-) -> tuple[Array, Array, Array]:
-    """Weighted residuals after the best gain and offset, these two, and their conditional variances.
-
-    Args:
-        predicted: the model without gain and offset, shape (D, L).
-        prior_residuals: of the nonlinear parameters, shape (P,).
-        data: the numbers.
-        roles: which of "gain" and "offset" are free, in this order.
-    """
-    zero, one = jnp.zeros((), predicted.dtype), jnp.ones((), predicted.dtype)
-    gain_prior, offset_prior = data.prior_weight[-2], data.prior_weight[-1]
-    target = (data.weights * data.values).ravel()
-    shining = (data.weights * predicted).ravel()
-    tail = jnp.stack([data.prior_mean[-2] * gain_prior, data.prior_mean[-1] * offset_prior])
-    columns = []
-    if "gain" in roles:
-        columns.append(jnp.concatenate([shining, jnp.stack([gain_prior, zero])]))
-    else:
-        target = target - shining
-    if "offset" in roles:
-        columns.append(jnp.concatenate([data.weights.ravel(), jnp.stack([zero, offset_prior])]))
-    residual, found, spread = eliminate(jnp.concatenate([target, tail]), columns)
-    values = dict(zip(roles, found, strict=True))
-    variances = dict(zip(roles, spread, strict=True))
-    return (
-        jnp.concatenate([residual, prior_residuals]),
-        jnp.stack([values.get("gain", one), values.get("offset", zero)]),
-        jnp.stack([variances.get("gain", zero), variances.get("offset", zero)]),
-    )
+# XLA would take five times as long to compile this than to run it.
+_CHEAP_TO_COMPILE = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+_QUICK_VALUES = 2000
+_WORKERS = ThreadPoolExecutor(max_workers=2, thread_name_prefix="compile")
+_MOST_KEPT = 8
 
 
 @dataclass(frozen=True, eq=False)
 class Programs:
-    """The model of one kind of scene and what is compiled of it.
+    """A layout and what is compiled of it.
 
     Args:
-        model: parameters in the scene's units, shape (P,), and ``Data.known`` to reflectance factors, shape
-            (D, L).
-        logarithmic: which of the P parameters are searched by their logarithm.
-        roles: which of "gain" and "offset" are free.
-        quick: so few values are predicted that compiling a polish takes longer than running it.
+        layout: of the fit for which they were made first.
         compiled: by name; each is ready, or becomes so in the background.
     """
 
-    model: Callable[[Array, tuple[Array, ...]], Array]
-    logarithmic: tuple[bool, ...]
-    roles: tuple[str, ...]
-    quick: bool
-    compiled: dict[str, Future[Any]] = field(default_factory=dict)
+    layout: Layout
+    compiled: dict[Any, Future[Any]] = field(default_factory=dict)
 
-    def residuals(self, predicted: Array, values: Array, data: Data) -> tuple[Array, Array, Array]:
-        """``project`` with the priors of the nonlinear parameters put in."""
-        count = len(self.logarithmic)
-        free = data.prior_weight[:count] * (data.prior_mean[:count] - values)
-        return project(predicted, free, data, self.roles)
+    @property
+    def quick(self) -> bool:
+        """So few values are predicted that compiling a descent takes longer than running it."""
+        return sum(int(np.prod(part.shape)) for part in self.layout.parts) <= _QUICK_VALUES
 
-    def begin(self, name: str, lower: Callable[[], Any], options: dict[str, Any] | None = None) -> None:
+    def begin_table(self, data: Data) -> None:
+        """Compile the true reflectance factors for ``CHUNK`` vectors of numbers."""
+        layout = self.layout
+        spectra = jax.ShapeDtypeStruct((layout.free_spectra, layout.blocks), data.center.dtype)
+
+        def one(natural: Array, known: tuple[tuple[Array, ...], ...]) -> tuple[Array, ...]:
+            none = jnp.zeros(spectra.shape, spectra.dtype)
+            return tuple(
+                layout.factor(part, *layout.inputs(part, natural, none), numbers)
+                for part, numbers in zip(layout.parts, known, strict=True)
+            )
+
+        shape = jax.ShapeDtypeStruct((CHUNK, len(layout.logarithmic)), data.center.dtype)
+        self._begin("table", lambda: jax.jit(jax.vmap(one, in_axes=(0, None))).lower(shape, data.known), None)
+
+    def table(self, data: Data) -> Any:
+        """The program of ``begin_table``."""
+        self.begin_table(data)
+        return self.compiled["table"].result()
+
+    def begin_descent(self, data: Data, lanes: int, batched: bool, cheap: bool) -> None:
+        """Compile ``lanes`` descents at once.
+
+        Args:
+            data: its shapes count; if batched, measured values have a first axis of ``lanes``.
+            lanes: how many.
+            batched: each has its own measured values, weights and means.
+            cheap: it will run too little to be worth optimizing.
+        """
+        layout = self.layout
+        numbers, free, blocks = len(layout.logarithmic), layout.free_spectra, layout.blocks
+        kind = data.center.dtype
+        lane = Lane(
+            jax.ShapeDtypeStruct((lanes, numbers), kind),  # type: ignore[arg-type]
+            jax.ShapeDtypeStruct((lanes, free, blocks), kind),  # type: ignore[arg-type]
+            jax.ShapeDtypeStruct((lanes, numbers), bool),  # type: ignore[arg-type]
+            jax.ShapeDtypeStruct((lanes, free, blocks), bool),  # type: ignore[arg-type]
+            jax.ShapeDtypeStruct((lanes,), jnp.int32),  # type: ignore[arg-type]
+            jax.ShapeDtypeStruct((lanes,), jnp.int32),  # type: ignore[arg-type]
+        )
+        own = 0 if batched else None
+        axes: Any = Data(own, own, own, None, None, None, None, None, None, None, None)  # type: ignore[arg-type]
+
+        def one(lane: Lane, data: Data) -> Any:
+            return descend(layout, lane, data)
+
+        options = _CHEAP_TO_COMPILE if cheap and self.quick else None
+        name = ("descent", lanes, batched)
+        self._begin(name, lambda: jax.jit(jax.vmap(one, in_axes=(0, axes))).lower(lane, data), options)
+
+    def descent(self, data: Data, lanes: int, batched: bool, cheap: bool) -> Any:
+        """The program of ``begin_descent``."""
+        self.begin_descent(data, lanes, batched, cheap)
+        return self.compiled["descent", lanes, batched].result()
+
+    def _begin(self, name: Any, lower: Any, options: dict[str, Any] | None) -> None:
         """Compile a program in the background, unless that has been done.
 
         It is traced here, because JAX's settings belong to a thread; only XLA's work moves to another one.
@@ -144,37 +108,8 @@ class Programs:
         if name not in self.compiled:
             self.compiled[name] = _WORKERS.submit(_compile, lower(), options)
 
-    def begin_chunk(self, data: Data) -> None:
-        """Compile chi-square, gain and offset, and their variances, of ``CHUNK`` parameter vectors."""
 
-        def one(values: Array, data: Data) -> tuple[Array, Array, Array]:
-            residual, linear, variance = self.residuals(self.model(values, data.known), values, data)
-            return residual @ residual, linear, variance
-
-        shape = jax.ShapeDtypeStruct((CHUNK, len(self.logarithmic)), data.values.dtype)
-        self.begin("chunk", lambda: jax.jit(jax.vmap(one, in_axes=(0, None))).lower(shape, data))
-
-    def begin_alone(self, data: Data) -> None:
-        """Compile chi-square, gain and offset, their variances, and the model, if nothing else is free."""
-
-        def alone(data: Data) -> tuple[Array, ...]:
-            nothing = jnp.zeros(0, data.values.dtype)
-            predicted = self.model(nothing, data.known)
-            residual, linear, variance = self.residuals(predicted, nothing, data)
-            return residual @ residual, linear, variance, predicted
-
-        self.begin("alone", lambda: jax.jit(alone).lower(data))
-
-    def chunk(self, data: Data) -> Any:
-        """The program of ``begin_chunk``."""
-        self.begin_chunk(data)
-        return self.compiled["chunk"].result()
-
-
-_WORKERS = ThreadPoolExecutor(max_workers=2, thread_name_prefix="compile")
 _KEPT: OrderedDict[Any, Programs] = OrderedDict()
-_MOST_KEPT = 8
-_QUICK_VALUES = 2000
 
 
 def _compile(lowered: Any, options: dict[str, Any] | None) -> Any:
@@ -186,78 +121,43 @@ def _compile(lowered: Any, options: dict[str, Any] | None) -> Any:
     return lowered.compile()
 
 
-def programs_for(
-    scene: Any,
-    slots: Sequence[int],
-    passed: Sequence[int],
-    scales: tuple[str, ...],
-    roles: tuple[str, ...],
-    tolerance: float,
-    smallest: tuple[float | None, float | None],
-    shape: tuple[int, ...],
-    place: Callable[[Sequence[Any], Sequence[Any]], Any],
-) -> Programs:
-    """The programs of a kind of scene, new or kept from an earlier fit.
-
-    Args:
-        scene: with the measurement's view.
-        slots: which leaves of the scene are free.
-        passed: which leaves are neither free nor compiled in.
-        scales: "linear" or "log" for each of them.
-        roles: which of "gain" and "offset" are free.
-        tolerance: bound on the model's numerical error.
-        smallest: dihedral angle, radians, and index of an interface, for each that is free.
-        shape: (D, L) of the measurement.
-        place: puts free values and those passed on into the scene.
+def programs_for(layout: Layout, data: Data) -> Programs:
+    """The programs of a kind of fit, new or kept from an earlier one.
 
     Raises:
-        ValueError: the scene cannot be evaluated, or its wavelengths are not the measurement's.
+        ValueError: a scene cannot be evaluated, or its wavelengths are not the measurement's.
     """
-    leaves, tree = jax.tree.flatten(scene)
-    known = tuple(
-        (
-            None if i in slots or i in passed else np.asarray(leaf).tobytes(),
-            np.shape(leaf),
-            str(np.asarray(leaf).dtype),
-        )
-        for i, leaf in enumerate(leaves)
-    )
     dtype = jnp.result_type(float)
-    key = (
-        tree,
-        known,
-        tuple(slots),
-        tuple(passed),
-        scales,
-        roles,
-        tolerance,
-        smallest,
-        shape,
-        str(dtype),
-    )
+    key = layout.key, str(dtype)
     if key in _KEPT:
         _KEPT.move_to_end(key)
         return _KEPT[key]
-
-    angle, index = smallest
-    evaluate = partial(vc.reflectance_factor, tolerance=tolerance, smallest_angle=angle, smallest_index=index)
-
-    def model(values: Array, others: tuple[Array, ...]) -> Array:
-        factor = evaluate(place([values[i] for i in range(len(slots))], others))
-        # A hemispherical view has no axis of directions, a gray material none of wavelengths.
-        return jnp.broadcast_to(jnp.reshape(factor, (shape[0], -1)), shape)
-
-    numbers = [jax.ShapeDtypeStruct((), dtype) for _ in slots]
-    others = [leaves[i] for i in passed]
-    full = jax.eval_shape(lambda v, k: evaluate(place(v, k)), numbers, others)
-    found = full.shape[len(scene.view.shape) :]
-    if found not in ((), (shape[1],)):
-        raise ValueError(
-            f"the material has wavelength shape {found}, the measurement {shape[1]} wavelengths; expected () "
-            f"or ({shape[1]},): tabulate the material at the measurement's wavelengths"
-        )
-    quick = int(np.prod(shape)) <= _QUICK_VALUES
-    _KEPT[key] = Programs(model, tuple(scale == "log" for scale in scales), roles, quick)
+    _check_shapes(layout, data)
+    _KEPT[key] = Programs(layout)
     while len(_KEPT) > _MOST_KEPT:
         _KEPT.popitem(last=False)
     return _KEPT[key]
+
+
+def _check_shapes(layout: Layout, data: Data) -> None:
+    import vcavity_jax as vc
+
+    natural = jax.ShapeDtypeStruct(data.center.shape, data.center.dtype)
+    spectra = jax.ShapeDtypeStruct((layout.free_spectra, layout.blocks), data.center.dtype)
+    for part, known in zip(layout.parts, data.known, strict=True):
+
+        def evaluate(
+            natural: Array, spectra: Array, known: Any, part: Any = part, limits: Any = part.smallest
+        ) -> Array:
+            scene = layout.placed(part, *layout.inputs(part, natural, spectra), known)
+            return vc.reflectance_factor(
+                scene, layout.tolerance, smallest_angle=limits[0], smallest_index=limits[1]
+            )
+
+        full = jax.eval_shape(evaluate, natural, spectra, known)
+        found, wanted = full.shape[len(part.scene.view.shape) :], part.shape[1]
+        if found not in ((), (wanted,)):
+            raise ValueError(
+                f"the material has wavelength shape {found}, the measurement {wanted} wavelengths; expected () "
+                f"or ({wanted},): tabulate the material at the measurement's wavelengths"
+            )

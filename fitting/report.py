@@ -3,16 +3,18 @@
 from dataclasses import dataclass
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
-import vcavity_jax as vc
 from fitting import identifiability
-from fitting.intervals import LinearProfile, Pieces, Profile, linear_profile
+from fitting.arrow import STATUS_WORDS
+from fitting.blind_spots import more_to_measure
+from fitting.information import LocalInformation, local_information
+from fitting.intervals import Envelope, Pieces, Profile, envelope, spectral_interval
 from fitting.parameters import Parameter
-from fitting.polish import Polished, polish
-from fitting.problem import Evaluation, Problem
-from fitting.result import Estimate, FitResult, Minimum
+from fitting.problem import INNER_STEPS, Descent, Evaluation, Problem
+from fitting.result import Estimate, FitResult, Minimum, SpectralEstimate, Start
 
 _SIDE = 1e-6
 """Distance from a value, as a share of the range, at which one-sided slopes are taken."""
@@ -20,38 +22,28 @@ _SIDE = 1e-6
 _UNEVEN = 1.5
 _GOOD = "The best fit of the whole allowed range is found; every parameter is determined."
 _POOR = "The best fit of the whole allowed range is found, but do not trust it:"
+_ELSEWHERE = 0.05
+"""Values of n or k that differ by this much belong to different branches."""
+
 _MOST_KINKS = 20
 """A standard error as wide as so many kinks says little about any of them."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """Minima, best first, and all that was evaluated on the way."""
+    """Minima, best first, all that was evaluated on the way, and every descent from a start."""
 
-    minima: Polished
-    converged: np.ndarray
+    minima: Descent
     table: Evaluation
-
-
-def kink_values(problem: Problem) -> Float[np.ndarray, " k"]:
-    """Allowed dihedral angles at which the model is not smooth, radians; none if the angle is not free."""
-    if problem.is_angle is None:
-        return np.empty(0)
-    angle = problem.nonlinear[problem.is_angle]
-    return np.asarray(vc.kink_angles(problem.scene, angle.lower, angle.upper), dtype=np.float64)
-
-
-def _information(problem: Problem, at: Polished, index: int) -> identifiability.LocalInformation:
-    gain = at.linear[index, 0]
-    return identifiability.local_information(problem.jacobian(at.predicted[index], gain * at.slopes[index]))
+    descents: Descent
 
 
 @dataclass(frozen=True)
 class _Sides:
-    """What the slopes on the left and on the right of a value of one parameter say.
+    """What the slopes on the left and on the right of a value of one number say.
 
     Args:
-        errors: the parameter's standard error from either.
+        errors: the number's standard error from either.
         uneven: the lengths of the slopes differ by more than half.
     """
 
@@ -59,33 +51,47 @@ class _Sides:
     uneven: bool
 
 
-def _sides(problem: Problem, best: Float[np.ndarray, " p"], slot: int, values: Any) -> list[_Sides]:
-    """Slopes beside values of one parameter, the others at the best fit."""
-    parameter = problem.nonlinear[slot]
+@dataclass
+class _Searched:
+    """What is known of a searched number."""
+
+    error: float
+    interval: Pieces
+    closed: bool
+    at_kink: bool
+    one_sided: tuple[float, float]
+    profile: Profile
+
+
+def _still(problem: Problem, values: np.ndarray, spectra: np.ndarray) -> Descent:
+    """The model and its derivatives at some points."""
+    return problem.descend(values, spectra, np.zeros(values.shape, bool), np.zeros(spectra.shape, bool), outer=0)
+
+
+def _sides(problem: Problem, best: Descent, slot: int, values: Any) -> list[_Sides]:
+    """Slopes beside values of one number, the others at the best fit."""
+    parameter = problem.numbers[slot]
     low, high = np.asarray(problem.data.bounds, dtype=np.float64)[:, slot]
-    points = np.repeat(best[None], 2 * len(values), axis=0)
+    points = np.repeat(best.values[:1], 2 * len(values), axis=0)
     shifted = parameter.natural(values)[:, None] + np.array([-1, 1]) * _SIDE * (high - low)
     points[:, slot] = parameter.from_natural(np.clip(shifted.ravel(), low, high))
-    at = polish(problem, points, frozen=True)
-    weights = np.asarray(problem.data.weights, dtype=np.float64)
-    sizes = np.linalg.norm((weights * at.slopes[:, slot]).reshape(len(points), -1), axis=1)
-    errors = [float(_information(problem, at, k).standard_errors[slot]) for k in range(len(points))]
+    normal = problem.normal(_still(problem, points, np.repeat(best.spectra[:1], len(points), axis=0)))
+    sizes = np.sqrt(np.clip(normal.reduced[:, slot, slot], 0, None))
+    errors = [float(local_information(normal, k).standard_errors[slot]) for k in range(len(points))]
     return [
         _Sides((errors[k], errors[k + 1]), bool(max(sizes[k : k + 2]) > _UNEVEN * min(sizes[k : k + 2])))
         for k in range(0, len(points), 2)
     ]
 
 
-def _kink_within_reach(problem: Problem, best: Float[np.ndarray, " p"], slot: int, reach: float) -> _Sides | None:
+def _kink_within_reach(problem: Problem, best: Descent, slot: int, reach: float) -> _Sides | None:
     """The kink that a fit feels most, None if it feels none.
 
     A kink within reach counts if the slopes on its sides differ; if the value lies on it, in any case.
     """
-    if slot != problem.is_angle:
-        return None
-    kinks = kink_values(problem)
+    kinks = problem.kinks(slot)
     low, high = np.asarray(problem.data.bounds, dtype=np.float64)[:, slot]
-    far = np.abs(kinks - best[slot])
+    far = np.abs(kinks - best.values[0, slot])
     on = far <= _SIDE * (high - low)
     near = np.flatnonzero(on | (far < reach))
     near = near[np.argsort(far[near], kind="stable")][:_MOST_KINKS]
@@ -104,135 +110,235 @@ def report(problem: Problem, found: Found, unknown: bool) -> FitResult:
         found: its minima and the table of the search.
         unknown: the standard uncertainty is estimated from the residuals.
     """
-    minima, best = found.minima, found.minima.parameters[0]
+    minima = found.minima
     chi_square = float(minima.chi_square[0])
     threshold = identifiability.threshold_95(problem.degrees_of_freedom, unknown)
-    information = _information(problem, minima, 0)
-    errors = information.standard_errors.copy()
-    profiles: list[Profile] = []
-    intervals: list[Pieces] = []
-    closed: list[bool] = []
-    at_kink: list[bool] = []
-    one_sided: list[tuple[float, float] | None] = []
-    for i in range(len(problem.nonlinear)):
-        (beside,) = _sides(problem, best, i, best[i : i + 1])
-        if beside.uneven and i == problem.is_angle:
-            errors[i] = np.fmax(*beside.errors)
-        kink = _kink_within_reach(problem, best, i, 3 * errors[i])
-        at_kink.append(kink is not None)
+    normal = problem.normal(minima)
+    information = local_information(normal)
+    searched: list[_Searched] = []
+    for i in range(len(problem.searched)):
+        error = float(information.standard_errors[i])
+        (beside,) = _sides(problem, minima, i, minima.values[:1, i])
+        if beside.uneven and i in problem.angles:
+            error = float(np.fmax(*beside.errors))
+        kink = _kink_within_reach(problem, minima, i, 3 * error)
         left, right = beside.errors if kink is None else kink.errors
-        one_sided.append((left, right))
         profile = Profile(problem, i, found.table)
         profile.add_minima(minima)
+        profile.settle(chi_square)
         for k in np.flatnonzero(minima.chi_square - chi_square < threshold):
-            own = errors[i] if k == 0 else _information(problem, minima, int(k)).standard_errors[i]
+            own = error if k == 0 else float(local_information(normal, int(k)).standard_errors[i])
             steps = (np.fmin(left, own), np.fmin(right, own)) if k == 0 else (own, own)
-            profile.refine_around(float(minima.parameters[k, i]), *(float(step) for step in steps))
+            profile.refine_around(float(minima.values[k, i]), *(float(step) for step in steps))
         pieces, inside = profile.region(chi_square, threshold)
-        profiles.append(profile)
-        intervals.append(pieces)
-        closed.append(inside)
-    along = profiles[0].points if profiles else found.table
-    linear = [linear_profile(along, column, chi_square, threshold) for column in problem.linear_slots]
-    return _assemble(
-        problem, found, unknown, information, errors, profiles, linear, intervals, closed, at_kink, one_sided
-    )
+        searched.append(_Searched(error, pieces, inside, kink is not None, (left, right), profile))
+    along = searched[0].profile.points if searched else found.table
+    others = {
+        i: envelope(along, i, chi_square, threshold, (float(p.lower), float(p.upper)))
+        for i, p in enumerate(problem.numbers)
+        if not p.searched
+    }
+    return _assemble(problem, found, unknown, information, searched, others, along, threshold)
 
 
 def _assemble(
     problem: Problem,
     found: Found,
     unknown: bool,
-    information: identifiability.LocalInformation,
-    errors: np.ndarray,
-    profiles: list[Profile],
-    linear: list[LinearProfile],
-    intervals: list[Pieces],
-    closed: list[bool],
-    at_kink: list[bool],
-    one_sided: list[tuple[float, float] | None],
+    information: LocalInformation,
+    searched: list[_Searched],
+    others: dict[int, Envelope],
+    along: Evaluation,
+    threshold: float,
 ) -> FitResult:
     minima, chi_square = found.minima, float(found.minima.chi_square[0])
-    gain, offset = (float(x) for x in minima.linear[0])
-    estimates: dict[str, Estimate] = {}
-    for i, p in enumerate(problem.nonlinear):
-        value = float(minima.parameters[0, i])
+    hidden = _hidden(problem)
+    estimates: dict[str, Estimate | SpectralEstimate] = {}
+    open_names = []
+    for i, p in enumerate(problem.numbers):
+        value, error = float(minima.values[0, i]), float(information.standard_errors[i])
         margins = [p.natural(value) - p.natural(p.lower), p.natural(p.upper) - p.natural(value)]
-        at_bound = bool(min(margins) <= 1e-6 * sum(margins))
-        error = float(errors[i]) if closed[i] else np.nan
-        estimates[p.name] = Estimate(
-            value, error, intervals[i], p.unit, at_bound, bool(at_kink[i]) and not at_bound, one_sided[i]
-        )
-    for slot, p in enumerate(problem.linear, start=len(problem.nonlinear)):
-        profile = linear[slot - len(problem.nonlinear)]
-        value = gain if p.role == "gain" else offset
-        estimates[p.name] = Estimate(value, float(errors[slot]), profile.pieces, p.unit)
-    open_names = [p.name for p, inside in zip(problem.nonlinear, closed, strict=True) if not inside]
-    values = problem.measurement.reflectance_factor
-    predicted = gain * minima.predicted[0] + offset
-    residuals = values - predicted
-    rms = float(np.sqrt(np.nanmean(residuals**2)))
-    names = [p.name for p in problem.parameters]
-    listed = [
-        Minimum(
-            dict(zip(names, [*map(float, point), *map(float, extra[problem.linear_slots])], strict=True)),
-            float(cost),
-        )
-        for point, extra, cost in zip(minima.parameters, minima.linear, minima.chi_square, strict=True)
-    ]
-    drawn = {name: (p.values, p.points.chi_square) for name, p in zip(names, profiles, strict=False)}
-    drawn |= {p.name: (q.values, q.chi_square) for p, q in zip(problem.linear, linear, strict=True)}
+        at_bound = bool(np.isfinite(sum(margins)) and min(margins) <= 1e-6 * sum(margins))
+        if i < len(searched):
+            own = searched[i]
+            kink = own.at_kink and not at_bound
+            error = own.error if own.closed else np.nan
+            estimates[p.name] = Estimate(value, error, own.interval, p.unit, at_bound, kink, own.one_sided)
+            open_names += [] if own.closed else [p.name]
+        elif i not in hidden:
+            estimates[p.name] = Estimate(value, error, others[i].pieces, p.unit, at_bound)
+    estimates |= _spectral_estimates(problem, minima, information, along, threshold)
+    names = [p.name for p in problem.numbers]
+    listed = [_minimum(problem, minima, k, hidden) for k in range(len(minima.chi_square))]
+    drawn = {names[i]: (s.profile.values, s.profile.points.chi_square) for i, s in enumerate(searched)}
+    drawn |= {names[i]: (e.values, e.chi_square) for i, e in others.items() if i not in hidden}
     describes = identifiability.describes_data(chi_square, problem.degrees_of_freedom, unknown)
-    status, message = _status(problem, estimates, open_names, information, bool(found.converged[0]))
+    status, message = _status(problem, estimates, open_names, information, bool(minima.converged[0]))
     if describes is False:
         message = (
             f"{_POOR if status == 'converged' else message + '; besides,'} the model does not describe the data"
         )
+    predicted = _predicted(problem, minima, information)
+    residuals = tuple(m.reflectance_factor - p for m, p in zip(problem.measurements, predicted, strict=True))
+    squares = np.concatenate([r[~np.isnan(r)] ** 2 for r in residuals])
     lost = int(np.sum(~np.isfinite(found.table.chi_square)))
     doubts = identifiability.find_warnings(
-        problem, estimates, listed, information, open_names, chi_square, residuals, unknown
+        problem,
+        estimates,
+        listed,
+        information,
+        open_names,
+        chi_square,
+        residuals,
+        unknown,
+        _branches(problem, minima),
     )
     if lost:
         doubts += (f"the model gave no number at {lost} of {len(found.table.chi_square)} trial points",)
     return FitResult(
-        scene=problem.fitted_scene(minima.parameters[0]),
-        measurement=problem.measurement,
+        scenes=problem.fitted_scenes(minima.values[0], minima.spectra[0]),
+        measurements=problem.measurements,
+        labels=problem.labels,
         estimates=estimates,
+        numbers=tuple(names),
         covariance=information.covariance,
         correlation=information.correlation,
         chi_square=chi_square,
         degrees_of_freedom=problem.degrees_of_freedom,
-        residuals=residuals,
-        predicted=predicted,
+        misfits=residuals,
+        predictions=predicted,
         singular_values=information.singular_values,
         identifiable=not open_names and not information.singular,
         minima=listed,
+        starts=_starts(problem, found.descents, hidden),
         profiles=drawn,
-        rms_misfit=rms,
+        rms_misfit=float(np.sqrt(np.mean(squares))),
         uncertainty_estimated=unknown,
         describes_data=describes,
         warnings=doubts,
         status=status,
         message=message,
+        problem=problem,
+        found=found,
     )
 
 
-def _anything_goes(parameter: Parameter, estimates: dict[str, Estimate]) -> bool:
+def _branches(problem: Problem, minima: Descent) -> int:
+    """At how many wavelengths another start of the free spectra ends elsewhere and fits as well."""
+    starts = problem.starts
+    if len(starts) < 2:
+        return 0
+    values = np.repeat(minima.values[:1], len(starts), axis=0)
+    held = np.zeros(values.shape, dtype=bool)
+    ends = problem.descend(values, starts, held, inner=4 * INNER_STEPS, outer=0)
+    costs, best = ends.matrix[:, :, -1, -1], minima.matrix[0, :, -1, -1]
+    far = np.max(np.abs(ends.spectra - minima.spectra[0]), axis=1) > _ELSEWHERE
+    return int(np.sum((far & (costs - best < 9.0)).any(axis=0)))
+
+
+def _predicted(problem: Problem, minima: Descent, information: LocalInformation) -> tuple[np.ndarray, ...]:
+    """Recorded values at the best fit; none where a free spectrum is not determined."""
+    lost = ~information.determined
+    found = []
+    for part, whole in zip(problem.layout.parts, minima.predicted, strict=True):
+        depends = any(slot.source is None for slot in part.spectral)
+        found.append(np.where(lost[part.places], np.nan, whole[0]) if depends else whole[0])
+    return tuple(found)
+
+
+def _hidden(problem: Problem) -> set[int]:
+    """Coefficients that mean nothing by themselves."""
+    return {i for use in problem.layout.forms if not use.form.listed for i in use.numbers}
+
+
+def _named(problem: Problem, values: np.ndarray, hidden: set[int]) -> dict[str, float]:
+    return {p.name: float(values[i]) for i, p in enumerate(problem.numbers) if i not in hidden}
+
+
+def _minimum(problem: Problem, minima: Descent, index: int, hidden: set[int]) -> Minimum:
+    spectra = dict(zip(problem.free_names, minima.spectra[index], strict=True))
+    values = _named(problem, minima.values[index], hidden)
+    return Minimum(values, float(minima.chi_square[index]), spectra)
+
+
+def _starts(problem: Problem, descents: Descent, hidden: set[int]) -> tuple[Start, ...]:
+    return tuple(
+        Start(
+            _named(problem, descents.values[k], hidden),
+            float(descents.chi_square[k]),
+            STATUS_WORDS[int(descents.status[k])],
+            int(descents.steps[k]),
+            int(descents.rejected[k]),
+        )
+        for k in range(len(descents.chi_square))
+    )
+
+
+def _spectral_estimates(
+    problem: Problem, minima: Descent, information: LocalInformation, along: Evaluation, threshold: float
+) -> dict[str, SpectralEstimate]:
+    """The free spectra, and those of a form with the errors of its coefficients."""
+    found: dict[str, SpectralEstimate] = {}
+    layout, data = problem.layout, problem.data
+    if layout.free_spectra:
+        bounds = np.asarray(data.spectral_bounds, np.float64)
+        chi_square = float(minima.chi_square[0])
+        low, high = spectral_interval(along, chi_square, threshold, bounds)
+        for row, name in enumerate(problem.free_names):
+            values = minima.spectra[0, row]
+            at_bound = (values <= bounds[0, row]) | (values >= bounds[1, row])
+            missing = ~information.determined
+            found[name] = SpectralEstimate(
+                layout.wavelengths_nm,
+                np.where(missing, np.nan, values),
+                information.spectral_errors[row],
+                [(np.where(missing, bounds[0, row], low[row]), np.where(missing, bounds[1, row], high[row]))],
+                at_bound & ~missing,
+            )
+    forms = iter(layout.forms)
+    span = float(layout.wavelengths_nm[0]), float(layout.wavelengths_nm[-1])
+    for parameter in problem.spectral:
+        if parameter.form is None:
+            continue
+        use = next(forms)
+        numbers = list(use.numbers)
+
+        def spectrum(values: Any, form: Any = use.form) -> Any:
+            return form.spectrum(layout.wavelengths_nm, span, values)
+
+        best = jnp.asarray(minima.values[0, numbers], data.center.dtype)
+        whole, slopes = np.asarray(spectrum(best)), np.asarray(jax.jacfwd(spectrum)(best))
+        covariance = information.covariance[np.ix_(numbers, numbers)]
+        errors = np.sqrt(np.einsum("qwi,ij,qwj->qw", slopes, covariance, slopes))
+        suffix = parameter.name[parameter.name.index("[") :] if "[" in parameter.name else ""
+        for row, quantity in enumerate(parameter.quantities):
+            low, high = (whole[row] + sign * np.sqrt(threshold) * errors[row] for sign in (-1, 1))
+            found[quantity + suffix] = SpectralEstimate(
+                layout.wavelengths_nm, whole[row], errors[row], [(low, high)], np.zeros(len(low), bool)
+            )
+    return found
+
+
+def _anything_goes(parameter: Parameter, estimate: Estimate) -> bool:
     """Whether the interval is the whole allowed range: then a best value on a bound is an accident."""
-    return estimates[parameter.name].interval_95 == [(parameter.lower, parameter.upper)]
+    return estimate.interval_95 == [(parameter.lower, parameter.upper)]
 
 
 def _status(
     problem: Problem,
-    estimates: dict[str, Estimate],
+    estimates: dict[str, Estimate | SpectralEstimate],
     open_names: list[str],
-    information: identifiability.LocalInformation,
+    information: LocalInformation,
     converged: bool,
 ) -> tuple[str, str]:
-    bound = [p for p in problem.nonlinear if estimates[p.name].at_bound and not _anything_goes(p, estimates)]
-    if bound:
-        p = bound[0]
-        which = "lower" if estimates[p.name].value - p.lower < p.upper - estimates[p.name].value else "upper"
+    for p in problem.numbers:
+        estimate = estimates.get(p.name)
+        # No stray light at all is an answer, not a limit of the search.
+        if not isinstance(estimate, Estimate) or not estimate.at_bound or p.role == "stray_light":
+            continue
+        if _anything_goes(p, estimate):
+            continue
+        which = "lower" if estimate.value - p.lower < p.upper - estimate.value else "upper"
         edge = p.displayed(p.lower if which == "lower" else p.upper)
         return "at bound", (
             f"{p.name} ended on its {which} bound, {edge:g} {'degrees' if p.unit == 'rad' else ''}".rstrip()
@@ -242,7 +348,7 @@ def _status(
         names = ", ".join(open_names) or "the combination of the free parameters"
         return "not identifiable", (
             f"the data do not determine {names} within the allowed range: "
-            f"{identifiability.more_to_measure(problem)}, fix another parameter, or give a prior"
+            f"{more_to_measure(problem)}, fix another parameter, or give a prior"
         )
     if not converged:
         return "not converged", (

@@ -24,23 +24,35 @@ _PRODUCT_STEPS = {2: (np.radians(1.0), 0.1, 21), 3: (np.radians(2.0), 0.3, 9)}
 Cost = Callable[[np.ndarray], np.ndarray]
 
 
-def axis(parameter: Parameter, kinks: Float[np.ndarray, " k"]) -> Float[np.ndarray, " n"]:
+def axis(parameter: Parameter, kinks: Float[np.ndarray, " k"], coarseness: int = 1) -> Float[np.ndarray, " n"]:
     """Grid over a parameter's allowed range, in its own unit; both bounds are points of it.
 
     Args:
         parameter: what is searched.
         kinks: values at which the model is not smooth. They and points 0.02 degrees beside them are added: a
             minimum may lie in a cusp narrower than the step.
+        coarseness: so many times wider a step, and above 1 no points beside the kinks, where a point is costly
+            because much else is unknown.
     """
     low, high = (float(parameter.natural(bound)) for bound in (parameter.lower, parameter.upper))
     step = ANGLE_STEP if parameter.unit == "rad" else LOG_STEP
     if parameter.unit != "rad" and parameter.scale == "linear":
         step = (high - low) / (_PLAIN_POINTS - 1)
+    step = coarseness * step
     even = np.linspace(low, high, int(np.ceil((high - low) / step - 1e-9)) + 1)
-    beside = np.concatenate([kinks - KINK_MARGIN, kinks, kinks + KINK_MARGIN]) if len(kinks) else kinks
+    beside = kinks
+    if len(kinks) and coarseness == 1:
+        beside = np.concatenate([kinks - KINK_MARGIN, kinks, kinks + KINK_MARGIN])
     points = np.sort(np.concatenate([even, beside[(beside > low) & (beside < high)]]))
     distinct = np.diff(points, prepend=-np.inf) > 1e-10 * (high - low)
     return np.asarray(parameter.from_natural(points[distinct]), dtype=np.float64)
+
+
+def separation(parameter: Parameter, values: Float[np.ndarray, " n"]) -> float:
+    """In the natural coordinate, how far apart two minima of a table must be at least."""
+    if parameter.unit == "rad":
+        return float(ANGLE_STEP)
+    return LOG_STEP if parameter.scale == "log" else float(values[-1] - values[0]) / (_PLAIN_POINTS - 1)
 
 
 def product_axes(parameters: Sequence[Parameter]) -> list[Float[np.ndarray, " n"]]:

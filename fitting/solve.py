@@ -1,30 +1,35 @@
 """The fit: search everywhere, polish the best valleys, profile each parameter."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
+import vcavity_jax as vc
 from fitting import search
+from fitting.arrow import CONVERGED, OUT_OF_STEPS
+from fitting.assembly import build
 from fitting.measurement import Measurement
-from fitting.parameters import Parameter
-from fitting.polish import Polished, lane_count, polish, prepare
-from fitting.problem import Evaluation, Problem, build
+from fitting.problem import Descent, Evaluation, Problem, joined
 from fitting.programs import CHUNK
-from fitting.report import Found, kink_values, report
+from fitting.report import Found, report
 from fitting.result import FitResult
 
 _NEAR = 9.0
+_STRIDE = 6
+_MEDIUM, _WIDE = 5, 8
+"""Coarseness of the search of glossy and of matte scattering grooves."""
+_NEAR_STEPS = 2
 
 _warned_of_float32 = False
 
 
 def fit(
     scene: Any,
-    measurement: Measurement,
-    parameters: Sequence[Parameter],
+    measurement: Any,
+    parameters: Sequence[Any],
     *,
     standard_uncertainty: float | int | None = None,
     tolerance: float = 1e-8,
@@ -60,11 +65,16 @@ def fit(
     if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 1:
         raise ValueError(f"max_steps is {max_steps!r}; expected a whole number of at least 1")
     problem = build(scene, measurement, parameters, standard_uncertainty, tolerance)
-    if problem.nonlinear:
+    if problem.tabular:
         # The search is compiled first and needed first; both are compiled at the same time.
-        problem.programs.begin_chunk(problem.data)
-        prepare(problem, max_steps)
-    unknown = standard_uncertainty is None and measurement.standard_uncertainty is None
+        problem.programs.begin_table(problem.data)
+    problem.programs.begin_descent(problem.data, problem.lanes, False, problem.tabular)
+    measurements = (
+        [measurement]
+        if isinstance(measurement, Measurement)
+        else list(measurement.values() if isinstance(measurement, Mapping) else measurement)
+    )
+    unknown = standard_uncertainty is None and measurements[0].standard_uncertainty is None
     if unknown and problem.degrees_of_freedom == 0:
         raise ValueError(
             "the measurement states no uncertainty, and no degree of freedom is left to estimate it; "
@@ -75,7 +85,7 @@ def fit(
         # Priors do not scale with the uncertainty, hence the repetition; without them the second pass agrees.
         for _ in range(8):
             factor = np.sqrt(found.minima.chi_square[0] / problem.degrees_of_freedom)
-            sigma = 1 / float(jnp.max(problem.data.weights))
+            sigma = 1 / max(float(jnp.max(w)) for w in problem.data.weights)
             factor = max(factor, tolerance / sigma)
             problem = problem.with_uncertainty_scaled(float(factor))
             found = _search(problem, max_steps)
@@ -96,145 +106,180 @@ def _warn_of_float32() -> None:
 
 
 def _search(problem: Problem, max_steps: int) -> Found:
-    if not problem.nonlinear:
-        return _eliminate(problem)
-    if len(problem.nonlinear) == 1:
-        return _search_axis(problem, max_steps)
-    return _search_product(problem, max_steps)
-
-
-def _eliminate(problem: Problem) -> Found:
-    """Only gain or offset are free: the answer is exact, and nothing is searched."""
-    chi_square, linear, variance, predicted = problem.alone()
-    if not np.isfinite(chi_square).all():
-        raise ValueError("the model gives no number for this scene; expected a scene that can be evaluated")
-    nothing = np.empty((1, 0))
-    found = Polished(
-        parameters=nothing,
-        chi_square=chi_square,
-        linear=linear,
-        variance=variance,
-        converged=np.ones(1, dtype=bool),
-        steps=np.zeros(1, dtype=int),
-        predicted=predicted,
-        slopes=np.empty((1, 0, *predicted.shape[1:])),
-    )
-    return Found(found, found.converged, Evaluation(nothing, chi_square, linear, variance))
+    searched = len(problem.searched)
+    if not searched:
+        return _polish_only(problem, max_steps)
+    return _search_axis(problem, max_steps) if searched == 1 else _search_product(problem, max_steps)
 
 
 def _finite(cost: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(cost), cost, np.inf)
 
 
+def _polish_only(problem: Problem, max_steps: int) -> Found:
+    """Nothing is searched: every unknown has a start, or is an index with a few of them."""
+    held = np.zeros(len(problem.numbers), dtype=bool)
+    table = problem.evaluate(np.empty((1, 0)), steps=max_steps)
+    ends = problem.descend(table.values, table.spectra, outer=max_steps)
+    if not np.isfinite(ends.chi_square).any():
+        raise ValueError("the model gives no number at the start; expected a scene that can be evaluated")
+    return Found(ends, problem.evaluation(ends, held), ends)
+
+
 def _search_axis(problem: Problem, max_steps: int) -> Found:
     """One parameter: a grid that knows the kinks, then its best valleys."""
-    parameter = problem.nonlinear[0]
-    axis = search.axis(parameter, kink_values(problem))
-    table = problem.evaluate(axis[:, None])
+    parameter = problem.searched[0]
+    axis = _axis(problem)
+    table = problem.evaluate(axis[:, None]) if problem.tabular else _along(problem, axis)
     cost = _finite(table.chi_square)
     if not np.isfinite(cost).any():
         raise ValueError(
             f"the model gives no number anywhere between {parameter.displayed(parameter.lower):g} and "
             f"{parameter.displayed(parameter.upper):g}; expected a scene that can be evaluated"
         )
-    valleys = search.distinct_minima(cost, lane_count(problem))
-    polished = polish(problem, axis[valleys][:, None], max_steps=max_steps)
-    place, chi = polished.parameters[:, 0], _finite(polished.chi_square)
+    most = problem.lanes
+    valleys = search.distinct_minima(cost, most)
+    starts = table.take(valleys)
+    polished = problem.descend(starts.values, starts.spectra, outer=max_steps)
+    place, chi = polished.values[:, 0], _finite(polished.chi_square)
     ends = np.stack([axis[np.maximum(valleys - 1, 0)], axis[np.minimum(valleys + 1, len(axis) - 1)]], axis=1)
-    stayed = (place >= ends[:, 0]) & (place <= ends[:, 1]) & polished.converged.astype(bool)
-    points, costs, good = [axis[valleys], place], [cost[valleys], chi], [np.zeros(len(valleys), bool)]
-    good.append(polished.converged.astype(bool))
+    stayed = (place >= ends[:, 0]) & (place <= ends[:, 1]) & polished.converged
     again = ~stayed | (chi > cost[valleys])
+    candidates: list[Evaluation | Descent] = [starts, polished]
+    good = [np.zeros(len(valleys), bool), polished.converged]
     if again.any():
-        # The valley may be a cusp, or the polish may have leapt out of it: then without derivatives.
+        # The valley may be a cusp, or the descent may have leapt out of it: then without derivatives.
         width = parameter.step_tolerance * (1.0 if parameter.scale == "linear" else parameter.lower)
+        seen: list[Evaluation] = []
 
         def of(values: np.ndarray) -> np.ndarray:
-            return problem.evaluate(values[:, None]).chi_square
+            seen.append(problem.evaluate(values[:, None], near=None if problem.tabular else table))
+            return seen[-1].chi_square
 
-        sections, section_costs = search.section_minima(of, ends[again], width, CHUNK)
-        points.append(sections)
-        costs.append(section_costs)
-        good.append(np.ones(len(sections), bool))
+        places, _ = search.section_minima(of, ends[again], width, CHUNK if problem.tabular else problem.lanes)
+        whole = Evaluation(*(np.concatenate(part) for part in zip(*seen, strict=True)))
+        nearest = [int(np.argmin(np.abs(whole.values[:, 0] - p))) for p in places]
+        candidates.append(whole.take(nearest))
+        good.append(np.ones(len(places), bool))
         good[0][again] = True  # The section ended no lower than this grid point only if it is the minimum.
-    candidates, chis, converged = np.concatenate(points), np.concatenate(costs), np.concatenate(good)
-    good_grid = np.abs(chis[: len(valleys)] - chi) <= 1e-9 * (1 + chi)
-    converged[: len(valleys)] |= good_grid | (cost[valleys] < chi)
-    step = search.ANGLE_STEP if parameter.unit == "rad" else search.LOG_STEP
-    separation = step if parameter.unit == "rad" or parameter.scale == "log" else (axis[-1] - axis[0]) / 200
+    values = np.concatenate([c.values for c in candidates])
+    spectra = np.concatenate([c.spectra for c in candidates])
+    chis = _finite(np.concatenate([c.chi_square for c in candidates]))
+    converged = np.concatenate(good)
+    converged[: len(valleys)] |= (np.abs(cost[valleys] - chi) <= 1e-9 * (1 + chi)) | (cost[valleys] < chi)
+    separation = search.separation(parameter, axis)
     kept: list[int] = []
     for index in np.argsort(chis, kind="stable"):
-        basin = np.flatnonzero((ends[:, 0] <= candidates[index]) & (candidates[index] <= ends[:, 1]))
-        apart = np.abs(parameter.natural(candidates[index]) - parameter.natural(candidates[kept])) if kept else []
+        own = values[index, 0]
+        basin = np.flatnonzero((ends[:, 0] <= own) & (own <= ends[:, 1]))
+        apart = np.abs(parameter.natural(own) - parameter.natural(values[kept, 0])) if kept else []
         taken = any(a < 1e-3 * separation for a in apart) or any(
-            ends[b, 0] <= candidates[k] <= ends[b, 1] for b in basin for k in kept
+            ends[b, 0] <= values[k, 0] <= ends[b, 1] for b in basin for k in kept
         )
-        # A polish that left its valley counts only where no valley of the table is near.
+        # A descent that left its valley counts only where no valley of the table is near.
         stray = not len(basin) and any(a < separation for a in apart)
         if not taken and not stray and np.isfinite(chis[index]):
             kept.append(int(index))
-    kept = [k for k in kept if chis[k] - chis[kept[0]] < _NEAR][: lane_count(problem)]
-    final = polish(problem, candidates[kept][:, None], frozen=True, max_steps=max_steps)
-    return Found(final, converged[kept], table)
+    kept = [k for k in kept if chis[k] - chis[kept[0]] < _NEAR][:most]
+    final = problem.descend(
+        values[kept],
+        spectra[kept],
+        np.zeros((len(kept), values.shape[1]), bool),
+        np.zeros(spectra[kept].shape, bool),
+        outer=0,
+    )
+    final = final._replace(status=np.where(converged[kept], CONVERGED, OUT_OF_STEPS))
+    return Found(final, table, polished)
+
+
+def _axis(problem: Problem) -> np.ndarray:
+    """The grid of the search: where each point is a fit of its own, as wide as the valleys allow."""
+    parameter, parts = problem.searched[0], problem.layout.parts
+    if problem.tabular:
+        return search.axis(parameter, problem.kinks(0))
+    materials = [part.scene.material for part in parts]
+    if not any(isinstance(material, vc.Specular) for material in materials):
+        # The slopes of what scatters light jump little at its kinks.
+        matte = all(isinstance(material, vc.Lambertian) for material in materials)
+        return search.axis(parameter, np.empty(0), _WIDE if matte else _MEDIUM)
+    # A tilt moves the kinks, so that their nominal places are of no use.
+    return search.axis(parameter, np.empty(0) if any(part.tilts for part in parts) else problem.kinks(0), 2)
+
+
+def _along(problem: Problem, axis: np.ndarray) -> Evaluation:
+    """All else minimized over along an axis: at some points from the usual starts, then from their neighbors."""
+    every = np.arange(len(axis))
+    first = every % _STRIDE == 0
+    known = problem.evaluate(axis[first, None])
+    rest = problem.evaluate(axis[~first, None], near=known, steps=_NEAR_STEPS)
+    order = np.argsort(np.concatenate([every[first], every[~first]]), kind="stable")
+    return Evaluation(*(np.concatenate(pair)[order] for pair in zip(known, rest, strict=True)))
 
 
 def _search_product(problem: Problem, max_steps: int) -> Found:
     """Two or three parameters: a product of axes, its lowest valleys, and the kinks next to their ends."""
-    axes = search.product_axes(problem.nonlinear)
+    axes = search.product_axes(problem.searched)
     grid = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=1)
     table = problem.evaluate(grid)
     cost = _finite(table.chi_square).reshape([len(a) for a in axes])
-    valleys = search.product_minima(cost, lane_count(problem))
+    most = problem.lanes
+    valleys = search.product_minima(cost, most)
     if not valleys:
         raise ValueError("the model gives no number anywhere in the allowed ranges; expected a usable scene")
-    starts = np.array([[axis[i] for axis, i in zip(axes, valley, strict=True)] for valley in valleys])
-    ends = [polish(problem, starts, max_steps=max_steps)]
-    on_kinks = _kink_starts(problem, ends[0])
-    if len(on_kinks):
-        movable = np.ones(on_kinks.shape, dtype=bool)
-        movable[:, problem.is_angle] = False
-        ends.append(polish(problem, on_kinks, movable, max_steps=max_steps))
-    ends.append(polish(problem, starts, frozen=True, max_steps=max_steps))
-    joined = Polished(*(np.concatenate(parts) for parts in zip(*ends, strict=True)))
-    converged = joined.converged.astype(bool)
-    converged[-len(starts) :] = False  # A start that nothing improves upon is no polished minimum.
-    chis = _finite(joined.chi_square)
+    places = [int(np.ravel_multi_index(valley, cost.shape)) for valley in valleys]
+    starts = table.take(places)
+    first = problem.descend(starts.values, starts.spectra, outer=max_steps)
+    ends = [first]
+    for slot in problem.angles:
+        on_kinks, spectra = _kink_starts(problem, first, slot)
+        if len(on_kinks):
+            movable = np.ones(on_kinks.shape, dtype=bool)
+            movable[:, slot] = False
+            ends.append(problem.descend(on_kinks, spectra, movable, outer=max_steps))
+    still = np.zeros(starts.values.shape, bool)
+    ends.append(
+        problem.descend(starts.values, starts.spectra, still, np.zeros(starts.spectra.shape, bool), outer=0)
+    )
+    whole = joined(ends)
+    converged = whole.converged
+    converged[-len(places) :] = False  # A start that nothing improves upon is no polished minimum.
+    chis = _finite(whole.chi_square)
     best = np.min(chis)
-    places = np.stack([p.natural(joined.parameters[:, i]) for i, p in enumerate(problem.nonlinear)], axis=1)
-    bounds = np.asarray(problem.data.bounds, dtype=np.float64)
-    places = (places - bounds[0]) / (bounds[1] - bounds[0])
+    count = len(problem.searched)
+    bounds = np.asarray(problem.data.bounds, dtype=np.float64)[:, :count]
+    shares = (problem.natural(whole.values)[:, :count] - bounds[0]) / (bounds[1] - bounds[0])
     kept: list[int] = []
     for index in np.argsort(chis + 1e-9 * ~converged, kind="stable"):
         if chis[index] - best >= _NEAR or not np.isfinite(chis[index]):
             break
-        if all(_ridge(problem, joined, places, int(index), k) for k in kept):
+        if all(_ridge(problem, whole, shares, int(index), k) for k in kept):
             kept.append(int(index))
-    kept = kept[: lane_count(problem)]
-    return Found(Polished(*(part[kept] for part in joined)), converged[kept], table)
+    kept = kept[:most]
+    final = whole.take(kept)
+    return Found(final._replace(status=np.where(converged[kept], CONVERGED, OUT_OF_STEPS)), table, first)
 
 
-def _kink_starts(problem: Problem, polished: Polished) -> np.ndarray:
-    """The polished minima moved to the nearest kink of the angle: a minimum in a cusp lies exactly there."""
-    kinks = kink_values(problem)
-    if not len(kinks) or problem.is_angle is None:
-        return np.empty((0, len(problem.nonlinear)))
-    near = polished.parameters[polished.chi_square - np.nanmin(polished.chi_square) < _NEAR].copy()
-    own = near[:, problem.is_angle]
-    nearest = kinks[np.argmin(np.abs(own[:, None] - kinks), axis=1)]
-    near[:, problem.is_angle] = nearest
-    return near[np.abs(nearest - own) < np.radians(1.0)]
+def _kink_starts(problem: Problem, polished: Descent, slot: int) -> tuple[np.ndarray, np.ndarray]:
+    """The polished minima moved to the nearest kink of an angle: a minimum in a cusp lies exactly there."""
+    kinks = problem.kinks(slot)
+    near = polished.take(polished.chi_square - np.nanmin(polished.chi_square) < _NEAR)
+    if not len(kinks):
+        return near.values[:0], near.spectra[:0]
+    values, own = near.values.copy(), near.values[:, slot]
+    values[:, slot] = kinks[np.argmin(np.abs(own[:, None] - kinks), axis=1)]
+    close = np.abs(values[:, slot] - own) < np.radians(1.0)
+    return values[close], near.spectra[close]
 
 
-def _ridge(problem: Problem, points: Polished, places: np.ndarray, first: int, second: int) -> bool:
+def _ridge(problem: Problem, points: Descent, shares: np.ndarray, first: int, second: int) -> bool:
     """Whether two minima are distinct: the straight way between them climbs over the higher one."""
-    if np.max(np.abs(places[first] - places[second])) < 1e-4:
+    if np.max(np.abs(shares[first] - shares[second])) < 1e-4:
         return False
+    count = len(problem.searched)
     share = np.linspace(0, 1, CHUNK)[:, None]
-    natural = [
-        p.natural(points.parameters[first, i]) * (1 - share) + p.natural(points.parameters[second, i]) * share
-        for i, p in enumerate(problem.nonlinear)
-    ]
-    pairs = zip(problem.nonlinear, natural, strict=True)
-    path = np.concatenate([p.from_natural(n) for p, n in pairs], axis=1)
+    ends = problem.natural(points.values[[first, second]])[:, :count]
+    natural = ends[0] * (1 - share) + ends[1] * share
+    pairs = enumerate(problem.searched)
+    path = np.stack([p.from_natural(natural[:, i]) for i, p in pairs], axis=1)
     highest = np.max(_finite(problem.evaluate(path).chi_square))
     return bool(highest - points.chi_square[first] >= search.PROMINENCE)

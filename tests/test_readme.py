@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting import Measurement
+import vcavity_jax as vc
+from fitting import Measurement, assembly, free
 from fitting.cli import arguments
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -51,6 +52,35 @@ def test_python_examples_run(document, monkeypatch, capsys):
     truth = float(shared["measurement"].metadata["truth"].removeprefix("angle_deg = "))
     low, high = np.degrees(shared["result"].estimates["angle"].interval_95[0])
     assert low < truth < high
+
+
+def test_parameters_of_the_documents_fit_together():
+    """The examples of docs/parameters.md, made ready but not fitted."""
+    nm, fan = np.array([450.0, 550.0, 650.0]), np.radians([-60.0, 0.0, 60.0])
+
+    def seen(light):
+        return Measurement(nm, fan, np.zeros(3), np.full((3, 3), 0.4), np.full((3, 3), 0.01), illumination=light)
+
+    def scene(light):
+        return vc.Scene(vc.VGrooves(1.0), vc.Lambertian(0.5), light, vc.View())
+
+    directional = vc.Directional(0.5)
+    shared: dict[str, object] = {
+        "fit": lambda scenes, measurements, given: assembly.build(scenes, measurements, given, None, 1e-3),
+        "free": free,
+        "scene": scene(vc.Diffuse()),
+        "measurement": seen(vc.Diffuse()),
+        "scene_in_directional_light": scene(directional),
+        "first": seen(vc.Diffuse()),
+        "second": seen(directional),
+    }
+    made = []
+    for example in blocks(Path("docs/parameters.md"), "python"):
+        names = dict(shared)
+        exec(compile(example, "docs/parameters.md", "exec"), names)
+        made += [[p.name for p in names["result"].numbers]] if "result" in names else []
+    assert made[0] == ["angle", "tilt_across", "tilt_along", "gain"]
+    assert made[1] == ["angle", "gain[sphere]", "gain[gonio]", "offset[gonio]"]
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=str)

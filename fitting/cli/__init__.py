@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-from fitting.cli import arguments
+from fitting.cli import arguments, messages
 
 NO_ANSWER, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
 
@@ -39,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("vcavity: interrupted", file=sys.stderr)
         return INTERRUPTED
     except (OSError, ValueError) as error:
-        print(f"vcavity: {arguments.one_line(_described(error))}", file=sys.stderr)
+        print(f"vcavity: {messages.one_line(messages.in_options(messages.described(error)))}", file=sys.stderr)
         return BAD_INPUT
     return status
 
@@ -54,13 +54,6 @@ def _run(argv: Sequence[str] | None) -> int:
     jax.config.update("jax_enable_x64", True)
     # Only the command that runs is imported.
     return int(importlib.import_module(f"fitting.cli.{given.command}").run(given))
-
-
-def _described(error: OSError | ValueError) -> str:
-    """The message of an error; those of the operating system come with a file and a reason."""
-    if isinstance(error, OSError) and error.strerror:
-        return f"{'output' if error.filename is None else error.filename}: {error.strerror}"
-    return arguments.in_options(str(error)) or type(error).__name__
 
 
 def _leave_pipe() -> None:

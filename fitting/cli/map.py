@@ -10,7 +10,7 @@ import numpy as np
 
 import vcavity_jax as vc
 from fitting import files
-from fitting.cli import arguments, scenes
+from fitting.cli import messages, scenes, words
 from fitting.map_plot import plot_maps
 from vcavity_jax import colorimetry
 
@@ -30,7 +30,7 @@ _ABOUT: dict[str, tuple[tuple[str, ...], str, str]] = {
 
 def run(given: argparse.Namespace) -> int:
     """Compute the map, write picture and data, print what was written."""
-    surface = scenes.known_surface(given)
+    sample = scenes.known_sample(given)
     picture, data = _targets(given)
     wavelengths = np.array(given.wavelengths)
     light: dict[str, Any] = {
@@ -40,8 +40,8 @@ def run(given: argparse.Namespace) -> int:
     }
     colorimetry.white(wavelengths, **light)  # What gives no color is refused before the work.
     scene = vc.Scene(
-        surface=surface,
-        material=scenes.material(given, wavelengths),
+        surface=scenes.surface(sample),
+        material=scenes.material(sample, wavelengths),
         illumination=scenes.light(given.illumination),
         view=vc.View(),
     )
@@ -56,13 +56,13 @@ def run(given: argparse.Namespace) -> int:
 
 def _title(given: argparse.Namespace) -> str:
     """A short name of the surface."""
-    own = arguments.OWN_PARAMETER[given.surface]
+    own = words.OWN_PARAMETER[given.surface]
     value = f"α = {np.rad2deg(given.angle):.6g}°" if own == "angle" else f"m = {given.roughness:.6g}"
     known = {"R = ": given.reflectance, "n = ": given.index}
     named = {symbol: Path(text).name for symbol, text in known.items() if text is not None}
     choice = named["n = "] if given.material == "specular" else ", ".join(map("".join, named.items()))
     kind = {"v-grooves": "", "beckmann": "Beckmann grooves, ", "gaussian": "Gaussian grooves, "}[given.surface]
-    return f"{kind}{arguments.one_line(choice)[-40:]}, {value}"
+    return f"{kind}{messages.one_line(choice)[-40:]}, {value}"
 
 
 def _targets(given: argparse.Namespace) -> tuple[Path, Path]:
@@ -101,7 +101,7 @@ def _facts(given: argparse.Namespace) -> dict[str, str]:
     """What was computed, in the words of the command line."""
     kind, *angles = given.illumination or ("diffuse",)
     return {
-        "title": arguments.one_line(scenes.described(given)),
+        "title": messages.one_line(scenes.described(given)),
         "illumination": ":".join([kind, ",".join(map(files.number, angles))]).rstrip(":"),
         "illuminant": given.illuminant,
         "observer": f"CIE {given.observer}",

@@ -7,13 +7,13 @@ import numpy as np
 
 import vcavity_jax as vc
 from fitting import files
-from fitting.cli import arguments, scenes
+from fitting.cli import messages, scenes
 from fitting.readers import geometry
 
 
 def run(given: argparse.Namespace) -> int:
     """Print the measurement file, or write it."""
-    surface = scenes.known_surface(given)
+    sample = scenes.known_sample(given)
     wavelengths = np.array(given.wavelengths)
     directions = _directions(given)
     if given.geometry is None:
@@ -22,8 +22,8 @@ def run(given: argparse.Namespace) -> int:
     else:
         seen = geometry.named(given.geometry, given.geometry_azimuth or 0.0, given.trap)
     scene = vc.Scene(
-        surface=surface,
-        material=scenes.material(given, wavelengths),
+        surface=scenes.surface(sample),
+        material=scenes.material(sample, wavelengths),
         illumination=seen.illumination,
         view=seen.view,
     )
@@ -79,7 +79,7 @@ def _head(given: argparse.Namespace, light: Any) -> list[str]:
             usual = round(float(np.rad2deg(light.half_angle)), 9)
             seen.append(f"trap_half_angle_deg: {files.number(usual if given.trap is None else given.trap)}")
     return [
-        f"# title: {arguments.one_line(what)}",
+        f"# title: {messages.one_line(what)}",
         "# instrument: computed by vcavity predict, not measured",
         *(f"# {line}" for line in seen),
         "# reflectance_unit: fraction",

@@ -15,7 +15,8 @@ import pytest
 
 import vcavity_jax as vc
 from fitting import Measurement
-from fitting.cli import BAD_INPUT, BROKEN_PIPE, INTERRUPTED, NO_ANSWER, arguments, main
+from fitting.cli import BAD_INPUT, BROKEN_PIPE, INTERRUPTED, NO_ANSWER, main, words
+from fitting.priors import Normal
 from fitting.readers import geometry
 from vcavity_jax import geometries, materials
 
@@ -138,7 +139,7 @@ def test_terminal_without_unicode_is_no_error(monkeypatch: pytest.MonkeyPatch) -
     ("text", "degrees"), [("45deg", 45), ("45", 45), ("45°", 45), ("1.5707963267948966rad", 90), ("180", 180)]
 )
 def test_angle_is_in_degrees_unless_it_says_radians(text: str, degrees: float) -> None:
-    assert math.isclose(arguments.angle(text), math.radians(degrees), rel_tol=1e-15)
+    assert math.isclose(words.angle(text), math.radians(degrees), rel_tol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +153,7 @@ def test_angle_is_in_degrees_unless_it_says_radians(text: str, degrees: float) -
     ],
 )
 def test_wavelengths(text: str, values: list[float]) -> None:
-    assert arguments.grid(text) == values
+    assert words.grid(text) == values
 
 
 BAD_WORDS = {
@@ -196,7 +197,7 @@ BAD_FIT_WORDS = {
     "--wavelengths": ["800:390", "390"],
     "--uncertainty": ["0", "-0.1", "2", "nan"],
     "--reflectance-unit": ["permille"],
-    "--free": ["index"],
+    "--free": ["thickness"],
     "--polarization": ["none"],
 }
 
@@ -611,7 +612,7 @@ def test_free_and_fixed_parameters(
 def test_priors_of_gain_and_offset(capsys: pytest.CaptureFixture[str], tmp_path: Path, stand_in: StandIn) -> None:
     options = ["--free", "angle", "--free", "gain", "--free", "offset"]
     fit(capsys, tmp_path, GOLD, *MIRROR, *options)
-    assert stand_in.priors == {"angle": None, "gain": (1.0, 0.01), "offset": (0.0, 0.002)}
+    assert stand_in.priors == {"angle": None, "gain": Normal(1.0, 0.01), "offset": Normal(0.0, 0.002)}
     fit(capsys, tmp_path, GOLD, *MIRROR, *options, "--no-priors")
     assert stand_in.priors == {"angle": None, "gain": None, "offset": None}
 

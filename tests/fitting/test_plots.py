@@ -44,18 +44,21 @@ def fitted(
         estimates[name] = Estimate(0.8, 0.005, [(0.79, 0.81), (1.293, 1.307)], unit)
     nothing = np.zeros((0, 0))
     return FitResult(
-        scene=None,
-        measurement=m,
+        scenes=(None,),
+        measurements=(m,),
+        labels=("0",),
         estimates=estimates,
+        numbers=profiles,
         covariance=nothing,
         correlation=nothing,
         chi_square=100.0,
         degrees_of_freedom=90,
-        residuals=measured - predicted,
-        predicted=predicted,
+        misfits=(measured - predicted,),
+        predictions=(predicted,),
         singular_values=np.zeros(0),
         identifiable=True,
         minima=[Minimum(dict.fromkeys(profiles, at), chi) for at, chi in ((0.8, 100.0), (1.3, 102.0))],
+        starts=(),
         profiles=tables,
         rms_misfit=0.01,
         uncertainty_estimated=uncertainty is None,
@@ -154,7 +157,7 @@ def test_all_reflected_light_has_no_angle(tmp_path: Path, wavelengths: int) -> N
     result = fitted(1, wavelengths, profiles=())
     m, nothing = result.measurement, np.array([np.nan])
     collected = dataclasses.replace(m, polar=nothing, azimuth=nothing, hemispherical=True)
-    said = words(dataclasses.replace(result, measurement=collected), tmp_path)
+    said = words(dataclasses.replace(result, measurements=(collected,)), tmp_path)
     assert "all directions" in said
     assert "view" in said
     assert not any("°" in text or "nan" in text for text in said)

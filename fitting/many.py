@@ -1,0 +1,474 @@
+"""Thousands of spectra of one kind of sample: one table for all, then many descents at once, in bounded memory."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from fitting import search
+from fitting.arrow import CONVERGED, Lane
+from fitting.assembly import build
+from fitting.measurement import Measurement
+from fitting.problem import GRID_STEPS, INNER_STEPS, Descent, Problem
+
+LANES = 32
+"""Descents per call."""
+
+_SPECTRA_AT_ONCE = 256
+_MOST_VALLEYS = 5
+_REACH = 25.0
+_COARSE_POINTS = 60
+_STATUSES = ("converged", "not converged", "no number", "not identifiable", "at bound", "no value", "bad value")
+
+
+@dataclass(frozen=True, eq=False)
+class ManyResult:
+    """Fits of N spectra. A spectrum without an answer has NaN and says why; it harms no other.
+
+    Args:
+        values: by name, shape (N,); radians for angles.
+        standard_errors: by name, shape (N,); from the slopes at the best fit, NaN where not determined.
+        spectra: free spectra by name, shape (N, L).
+        spectral_errors: their standard errors, shape (N, L).
+        chi_square: of data and priors, shape (N,).
+        degrees_of_freedom: shape (N,).
+        next_minimum: by how much chi-square of the next distinct minimum exceeds the best, shape (N,); infinite
+            if there is none. Below 4 the data hardly choose between them.
+        status: of each: "converged", "not converged", "no number" (the model gives none), "not identifiable", "at
+            bound", "no value" (all are missing) or "bad value" (not finite).
+        steps: of the descents of each, all together, shape (N,).
+    """
+
+    values: dict[str, np.ndarray]
+    standard_errors: dict[str, np.ndarray]
+    spectra: dict[str, np.ndarray]
+    spectral_errors: dict[str, np.ndarray]
+    chi_square: np.ndarray
+    degrees_of_freedom: np.ndarray
+    next_minimum: np.ndarray
+    status: np.ndarray
+    steps: np.ndarray
+
+    @property
+    def converged(self) -> np.ndarray:
+        """Which fits have an answer, shape (N,)."""
+        return np.asarray(self.status == "converged")
+
+    def summary(self) -> str:
+        """How many ended how."""
+        counts = [(word, int(np.sum(self.status == word))) for word in _STATUSES]
+        parts = ", ".join(f"{count} {word}" for word, count in counts if count)
+        return f"{len(self.status)} spectra: {parts}"
+
+
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """Measured values of some spectra, NaN taken out."""
+
+    values: np.ndarray
+    weights: np.ndarray
+    means: np.ndarray
+
+
+def fit_many(
+    scene: Any,
+    measurements: Measurement | Sequence[Measurement],
+    parameters: Sequence[Any],
+    *,
+    spectra: Float[np.ndarray, "n d w"] | None = None,
+    standard_uncertainty: Any = None,
+    tolerance: float = 1e-6,
+    max_steps: int = 60,
+    throw: bool = False,
+) -> ManyResult:
+    """Fit each of many spectra by itself, measured in the same directions at the same wavelengths.
+
+    The search is that of ``fit``: a table over the whole allowed range, its best valleys, a descent from each.
+    The table does not depend on the spectra if only gain and offset are free beside what is searched, and is made
+    once. There are no profiles: intervals, kinks and warnings are ``fit``'s.
+
+    Args:
+        scene: what the samples are.
+        measurements: all of them; or one that says directions, wavelengths and light, with ``spectra``.
+        parameters: see ``fit``.
+        spectra: reflectance factors, shape (N, D, L), NaN where missing.
+        standard_uncertainty: one number, or an array that broadcasts to (N, D, L); the measurements' own if None.
+        tolerance: bound on the model's numerical error.
+        max_steps: most steps of a descent.
+        throw: raise an error if a fit has no answer.
+
+    Returns:
+        Values, standard errors and a status for each.
+
+    Raises:
+        ValueError: the inputs do not fit together, or ``throw`` and a fit has no answer.
+    """
+    template, values, sigma = _stacked(measurements, spectra, standard_uncertainty)
+    problem = build(scene, template, parameters, None, tolerance)
+    if len(problem.measurements) > 1:
+        raise ValueError("fit_many fits single measurements; expected one Scene")
+    rows = [
+        _fit_batch(
+            problem, values[first : first + _SPECTRA_AT_ONCE], sigma[first : first + _SPECTRA_AT_ONCE], max_steps
+        )
+        for first in range(0, len(values), _SPECTRA_AT_ONCE)
+    ]
+    columns = [np.concatenate(column) for column in zip(*rows, strict=True)]
+    numbers, errors, free, free_errors, chi_square, dof, gap, status, steps = columns
+    names = [p.name for p in problem.numbers]
+    result = ManyResult(
+        values={name: numbers[:, i] for i, name in enumerate(names)},
+        standard_errors={name: errors[:, i] for i, name in enumerate(names)},
+        spectra={name: free[:, i] for i, name in enumerate(problem.free_names)},
+        spectral_errors={name: free_errors[:, i] for i, name in enumerate(problem.free_names)},
+        chi_square=chi_square,
+        degrees_of_freedom=dof,
+        next_minimum=gap,
+        status=status,
+        steps=steps,
+    )
+    if throw and not result.converged.all():
+        first = int(np.argmin(result.converged))
+        raise ValueError(f"spectrum {first}: {result.status[first]} ({result.summary()})")
+    return result
+
+
+def _stacked(
+    measurements: Any, spectra: Any, standard_uncertainty: Any
+) -> tuple[Measurement, np.ndarray, np.ndarray]:
+    """A template with plausible values, all values, all uncertainties."""
+    if isinstance(measurements, Measurement):
+        if spectra is None:
+            raise ValueError("one measurement without spectra=; expected an array of shape (N, D, L), or a list")
+        template = measurements
+        shape = template.reflectance_factor.shape
+        values = np.array(spectra, dtype=np.float64)
+        if values.ndim != 3 or values.shape[1:] != shape:
+            raise ValueError(f"spectra have the shape {values.shape}; expected (N, {shape[0]}, {shape[1]})")
+        sigma = standard_uncertainty if standard_uncertainty is not None else template.standard_uncertainty
+    else:
+        if spectra is not None:
+            raise ValueError("spectra= goes with one measurement; expected a list of measurements without it")
+        every = list(measurements)
+        if not every or not all(isinstance(m, Measurement) for m in every):
+            raise ValueError("no list of measurements; expected at least one Measurement")
+        template = every[0]
+        for i, m in enumerate(every):
+            same = all(
+                np.array_equal(getattr(m, a), getattr(template, a), equal_nan=True)
+                for a in ("wavelengths_nm", "polar", "azimuth")
+            )
+            if not same:
+                raise ValueError(
+                    f"measurement {i} has other wavelengths or directions than the first; expected the same"
+                )
+        values = np.stack([m.reflectance_factor for m in every])
+        sigma = standard_uncertainty
+        if sigma is None and all(m.standard_uncertainty is not None for m in every):
+            sigma = np.stack([m.standard_uncertainty for m in every])
+    if not len(values):
+        raise ValueError("no spectrum; expected at least one")
+    if sigma is None:
+        raise ValueError("no uncertainty is stated; expected standard_uncertainty=, one number or an array")
+    try:
+        sigma = np.broadcast_to(np.asarray(sigma, dtype=np.float64), values.shape)
+    except ValueError:
+        raise ValueError(
+            f"standard_uncertainty has the shape {np.shape(sigma)}; expected one that broadcasts to {values.shape}"
+        ) from None
+    known = ~np.isnan(values)
+    if not ((sigma > 0) & np.isfinite(sigma))[known].all():
+        raise ValueError("standard_uncertainty is not positive everywhere; expected finite numbers above zero")
+    typical = Measurement(
+        template.wavelengths_nm,
+        template.polar,
+        template.azimuth,
+        np.full(values.shape[1:], 0.5),
+        np.full(values.shape[1:], float(np.median(sigma[known])) if known.any() else 0.01),
+        illumination=template.illumination,
+        hemispherical=template.hemispherical,
+    )
+    return typical, values, sigma
+
+
+def _fit_batch(problem: Problem, values: np.ndarray, sigma: np.ndarray, max_steps: int) -> tuple[np.ndarray, ...]:
+    """Columns of the result for some spectra."""
+    count = len(values)
+    allowed = np.asarray(problem.data.weights[0]) > 0
+    missing = np.isnan(values) | ~allowed
+    bad = np.isinf(values).any(axis=(1, 2))
+    empty = missing.all(axis=(1, 2))
+    missing = missing | (bad | empty)[:, None, None]
+    weights = np.where(missing, 0.0, 1 / np.where(missing, 1.0, sigma))
+    present = np.maximum((~missing).sum(axis=2), 1)
+    batch = _Batch(np.where(missing, 0.0, values), weights, np.where(missing, 0.0, values).sum(axis=2) / present)
+    owner, starts, spectra = _candidates(problem, batch)
+    ends = _descend(problem, batch, owner, starts, spectra, None, 0, max_steps)
+    shape = (count, len(problem.numbers))
+    free = (count, *problem.starts.shape[1:])
+    numbers, errors = np.full(shape, np.nan), np.full(shape, np.nan)
+    found, found_errors = np.full(free, np.nan), np.full(free, np.nan)
+    chi_square, gap = np.full(count, np.nan), np.full(count, np.inf)
+    status = np.full(count, "no number", dtype=object)
+    steps = np.bincount(owner, ends.steps, count).astype(int)
+    cost = np.where(np.isfinite(ends.chi_square), ends.chi_square, np.inf)
+    # Best first within each spectrum.
+    order = np.lexsort((cost, owner))
+    first = order[np.append(True, owner[order][1:] != owner[order][:-1])] if len(order) else order
+    some = first[np.isfinite(cost[first])]
+    who = owner[some]
+    numbers[who], found[who], chi_square[who] = ends.values[some], ends.spectra[some], ends.chi_square[some]
+    normal = problem.normal(ends.take(some))
+    covariance = normal.covariance()
+    with np.errstate(invalid="ignore"):
+        errors[who] = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        variance = normal.spectral_variance(covariance)
+        found_errors[who] = np.sqrt(np.where(np.isfinite(variance), variance, np.nan))
+    undetermined = np.isnan(errors[who]).any(axis=1)
+    bounds = np.array([[p.lower for p in problem.numbers], [p.upper for p in problem.numbers]]).reshape(2, -1)
+    hit = np.isclose(numbers[who][:, None], bounds[None], rtol=1e-9, atol=1e-12)
+    free_to_end = np.array([p.role == "stray_light" for p in problem.numbers], bool)
+    at_bound = (hit & ~free_to_end).any(axis=(1, 2))
+    done = ends.status[some] == CONVERGED
+    words = np.where(done, "converged", "not converged").astype(object)
+    words[at_bound] = "at bound"
+    words[undetermined] = "not identifiable"
+    status[who] = words
+    status[empty], status[bad] = "no value", "bad value"
+    gap[who] = _gaps(problem, ends.values, cost, owner, some)
+    measured = (weights > 0).sum(axis=(1, 2))
+    template = int(np.sum(np.asarray(problem.data.weights[0]) > 0))
+    dof = measured - (template - problem.degrees_of_freedom)
+    return numbers, errors, found, found_errors, chi_square, dof, gap, status, steps
+
+
+def _gaps(
+    problem: Problem, values: np.ndarray, cost: np.ndarray, owner: np.ndarray, best: np.ndarray
+) -> np.ndarray:
+    """Rise of chi-square to the next minimum that lies elsewhere."""
+    if not problem.searched:
+        return np.full(len(best), np.inf)
+    apart = search.separation(
+        problem.searched[0], np.array([problem.searched[0].lower, problem.searched[0].upper])
+    )
+    place = problem.numbers[0].natural(values[:, 0])
+    gaps = np.full(len(best), np.inf)
+    position = {int(owner[b]): i for i, b in enumerate(best)}
+    for k in np.flatnonzero(np.isfinite(cost)):
+        i = position.get(int(owner[k]))
+        if i is not None and abs(place[k] - place[best[i]]) > apart:
+            gaps[i] = min(gaps[i], cost[k] - cost[best[i]])
+    return gaps
+
+
+def _candidates(problem: Problem, batch: _Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Starts of the descents: the spectrum each belongs to, the numbers and the free spectra."""
+    usable = np.flatnonzero((batch.weights > 0).any(axis=(1, 2)))
+    if not problem.searched:
+        starts = np.repeat(problem.start_values[None], len(usable), axis=0)
+        return _relaxed(problem, batch, usable, starts)
+    if len(problem.searched) == 1:
+        parameter = problem.searched[0]
+        axes = [search.axis(parameter, problem.kinks(0))] if problem.tabular else [_coarse(problem)]
+    else:
+        axes = search.product_axes(problem.searched)
+    grid = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=1)
+    whole = np.repeat(problem.start_values[None], len(grid), axis=0)
+    whole[:, : grid.shape[1]] = grid
+    owners: list[int] = []
+    values: list[np.ndarray] = []
+    spectra: list[np.ndarray] = []
+    if problem.tabular:
+        cost, linear = _table_costs(problem, batch, whole)
+    for who in usable:
+        if problem.tabular:
+            own_cost, own_values, own_spectra = cost[who], whole, np.zeros((len(grid), 0, 1))
+        else:
+            held = np.arange(len(problem.numbers)) < grid.shape[1]
+            own_cost, own_values, own_spectra = _own_table(problem, batch, int(who), whole, held)
+        for k in _valleys(own_cost, [len(a) for a in axes]):
+            start = own_values[k].copy()
+            if problem.tabular:
+                start[list(problem.linear)] = linear[who, k]
+            owners.append(int(who))
+            values.append(start)
+            spectra.append(own_spectra[k])
+    return (
+        np.array(owners, dtype=int),
+        np.array(values).reshape(len(owners), len(problem.numbers)),
+        np.array(spectra).reshape(len(owners), *problem.starts.shape[1:]),
+    )
+
+
+def _coarse(problem: Problem) -> np.ndarray:
+    """A coarse axis: beside what is searched so much is free that each of its points is a fit."""
+    parameter = problem.searched[0]
+    low, high = (float(parameter.natural(b)) for b in (parameter.lower, parameter.upper))
+    return np.asarray(parameter.from_natural(np.linspace(low, high, _COARSE_POINTS)), dtype=np.float64)
+
+
+def _valleys(cost: np.ndarray, shape: list[int]) -> list[int]:
+    """Where descents begin: local minima that could be the lowest, best first."""
+    cost = np.where(np.isfinite(cost), cost, np.inf)
+    if len(shape) > 1:
+        chosen = search.product_minima(cost.reshape(shape), _MOST_VALLEYS)
+        return [int(np.ravel_multi_index(place, shape)) for place in chosen]
+    before, after = np.append(np.inf, cost[:-1]), np.append(cost[1:], np.inf)
+    found = np.flatnonzero((cost < before) & (cost <= after))
+    if len(found) > _MOST_VALLEYS:
+        found = search.distinct_minima(cost, _MOST_VALLEYS)
+    if not len(found):
+        return []
+    # How far a valley may lie below its grid point: no further than its neighbors lie above.
+    around = np.stack([np.where(np.isfinite(side), side, -np.inf)[found] for side in (before, after)])
+    room = np.maximum(np.max(around, axis=0) - cost[found], 0.0)
+    room = np.where(np.isfinite(room), room, 0.0)
+    keep = found[cost[found] - room < cost[found].min() + _REACH]
+    return [int(k) for k in keep[np.argsort(cost[keep], kind="stable")]]
+
+
+def _table_costs(problem: Problem, batch: _Batch, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Chi-square of every spectrum at every point with gain and offset eliminated, and these."""
+    (factors,) = problem.factors(points)
+    flat = factors.reshape(len(points), -1)
+    w2 = (batch.weights**2).reshape(len(batch.values), -1)
+    h = batch.values.reshape(len(batch.values), -1)
+    tight, center = (np.asarray(a, np.float64) for a in (problem.data.tightness, problem.data.center))
+    roles = {problem.numbers[i].role: i for i in problem.linear}
+    rr, r1, rh = w2 @ (flat**2).T, w2 @ flat.T, (w2 * h) @ flat.T
+    hh, h1, one = ((w2 * x).sum(axis=1)[:, None] for x in (h * h, h, np.ones_like(h)))
+    others = [i for i in range(len(problem.numbers)) if i not in problem.linear]
+    logs = np.where(problem.layout.prior_of_logarithm, np.log(np.where(points > 0, points, 1.0)), points)
+    prior = np.sum((tight[others] * (logs[:, others] - center[others])) ** 2, axis=1)
+    found = np.empty((*rr.shape, len(problem.linear)))
+    if not roles:
+        return hh - 2 * rh + rr + prior, found
+    tg, to = (tight[roles[r]] ** 2 if r in roles else 0.0 for r in ("gain", "offset"))
+    cg, co = (center[roles[r]] if r in roles else 0.0 for r in ("gain", "offset"))
+    if "offset" not in roles:
+        square, right = rr + tg, rh + tg * cg
+        gain = right / np.where(square > 0, square, 1.0)
+        found[..., 0] = gain
+        return hh + tg * cg**2 - right * gain + prior, found
+    if "gain" not in roles:
+        square, right = one + to, h1 - r1 + to * co
+        offset = right / square
+        found[..., 0] = offset
+        return hh - 2 * rh + rr + to * co**2 - right * offset + prior, found
+    a, b, c = rr + tg, r1, one + to
+    p, q = rh + tg * cg, h1 + to * co
+    determinant = a * c - b * b
+    flat_spectrum = determinant <= 1e-12 * a * c
+    safe = np.where(flat_spectrum, 1.0, determinant)
+    gain = np.where(flat_spectrum, p / a, (p * c - q * b) / safe)
+    offset = np.where(flat_spectrum, 0.0, (q * a - p * b) / safe)
+    found[..., 0], found[..., 1] = gain, offset
+    return hh + tg * cg**2 + to * co**2 - p * gain - q * offset + prior, found
+
+
+def _own_table(
+    problem: Problem, batch: _Batch, who: int, points: np.ndarray, held: Bool[np.ndarray, " p"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All else minimized over at every point, for one spectrum; the best of several starts of its spectra."""
+    owner = np.full(len(points), who)
+    movable = np.repeat(~held[None], len(points), axis=0)
+    best = None
+    for start in problem.starts:
+        spectra = np.repeat(start[None], len(points), axis=0)
+        if len(problem.starts) == 1 and problem.layout.free_spectra:
+            spectra = np.repeat(_measured(problem, batch, who)[None], len(points), axis=0)
+        steps = GRID_STEPS if (~held).any() else 0
+        ends = _descend(problem, batch, owner, points, spectra, movable, INNER_STEPS, steps)
+        cost = np.where(np.isfinite(ends.chi_square), ends.chi_square, np.inf)
+        if best is None:
+            best = (cost, ends.values, ends.spectra)
+        else:
+            better = cost < best[0]
+            best = (
+                np.where(better, cost, best[0]),
+                np.where(better[:, None], ends.values, best[1]),
+                np.where(better[:, None, None], ends.spectra, best[2]),
+            )
+    assert best is not None
+    return best
+
+
+def _measured(problem: Problem, batch: _Batch, who: int) -> np.ndarray:
+    """The mean measured spectrum, as a start of a fraction."""
+    w2 = batch.weights[who] ** 2
+    total, weight = (w2 * batch.values[who]).sum(axis=0), w2.sum(axis=0)
+    mean = np.where(weight > 0, total / np.where(weight > 0, weight, 1.0), 0.5)
+    low, high = np.asarray(problem.data.spectral_bounds, np.float64)[:, :, None]
+    margin = 0.02 * (high - low)
+    return np.clip(np.broadcast_to(mean, problem.starts.shape[1:]), low + margin, high - margin)
+
+
+def _relaxed(
+    problem: Problem, batch: _Batch, usable: np.ndarray, starts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Starts where nothing is searched."""
+    owner = np.repeat(usable, len(problem.starts))
+    values = np.repeat(starts, len(problem.starts), axis=0)
+    spectra = np.tile(problem.starts, (len(usable), 1, 1))
+    held = np.zeros(values.shape, dtype=bool)
+    ends = _descend(problem, batch, owner, values, spectra, held, INNER_STEPS, 0)
+    return owner, ends.values, ends.spectra
+
+
+def _descend(
+    problem: Problem,
+    batch: _Batch,
+    owner: np.ndarray,
+    values: np.ndarray,
+    spectra: np.ndarray,
+    movable: np.ndarray | None,
+    inner: int,
+    outer: int,
+) -> Descent:
+    """Descents from many starts, each with the measured values of its own spectrum."""
+    count = len(owner)
+    data, dtype = problem.data, problem.data.center.dtype
+    shape = (LANES, *batch.values.shape[1:])
+    batched = data._replace(
+        values=(jnp.zeros(shape, dtype),), weights=(jnp.zeros(shape, dtype),), means=(jnp.zeros(shape[:2], dtype),)
+    )
+    compiled = problem.programs.descent(batched, LANES, True, False)
+    natural = problem.natural(values)
+    movable = np.ones(values.shape, dtype=bool) if movable is None else movable
+    # Narrow grooves need many steps, and a call waits for its slowest member.
+    order = np.argsort(natural[:, 0], kind="stable") if natural.shape[1] else np.arange(count)
+    ends = []
+    for first in range(0, max(count, 1), LANES):
+        chosen = order[np.minimum(np.arange(first, first + LANES), count - 1)] if count else np.zeros(LANES, int)
+        busy = np.arange(first, first + LANES) < count
+        if not count:
+            break
+        own = owner[chosen]
+        measured = data._replace(
+            values=(batch.values[own].astype(dtype),),
+            weights=(batch.weights[own].astype(dtype),),
+            means=(batch.means[own].astype(dtype),),
+        )
+        lane = Lane(
+            natural[chosen].astype(dtype),  # type: ignore[arg-type]
+            spectra[chosen].astype(dtype),  # type: ignore[arg-type]
+            movable[chosen],  # type: ignore[arg-type]
+            np.ones(spectra[chosen].shape, dtype=bool),  # type: ignore[arg-type]
+            (inner * busy).astype(np.int32),  # type: ignore[arg-type]
+            (outer * busy).astype(np.int32),  # type: ignore[arg-type]
+        )
+        ends.append([np.asarray(part) for part in compiled(lane, measured)[:-1]])
+    width = natural.shape[1] + problem.layout.free_spectra + 1
+    if not ends:
+        none = np.zeros(0)
+        matrix = np.zeros((0, problem.layout.blocks, width, width))
+        whole = none.astype(int)
+        return Descent(values, spectra, none, matrix, whole, whole, whole, ())
+    back = np.argsort(order, kind="stable")
+    columns: list[Any] = [np.concatenate(parts)[:count][back] for parts in zip(*ends, strict=True)]
+    columns = [c.astype(np.float64) if c.dtype.kind == "f" else c for c in columns]
+    ended = np.where(movable, problem.from_natural(columns[0]), values)
+    return Descent(*[ended, *columns[1:], ()])
