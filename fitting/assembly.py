@@ -13,7 +13,7 @@ import numpy as np
 import vcavity_jax as vc
 from fitting import instrument
 from fitting.layout import Data, FormUse, Layout, Part, SpectralSlot
-from fitting.measurement import Measurement
+from fitting.measurement import Measurement, check_light
 from fitting.parameters import Parameter, SpectralParameter
 from fitting.problem import Problem
 from fitting.programs import programs_for
@@ -120,9 +120,10 @@ def build(
         angles=_angles(named, parts),
     )
     if problem.degrees_of_freedom < 0:
-        used = sum(int(np.sum(np.asarray(w) > 0)) for w in data.weights)
+        weights = [np.asarray(w) for w in data.weights]
         raise ValueError(
-            f"{used} measured values for {problem.unknowns} free parameters; expected at least as many values "
+            f"{sum(int(np.sum(w > 0)) for w in weights)} measured values for {problem.unknowns(weights)} free "
+            "parameters; expected at least as many values "
             "and priors as free parameters"
         )
     return problem
@@ -218,23 +219,8 @@ def _spread(parameters: Sequence[Any], labels: tuple[str, ...]) -> list[_Use]:
 
 
 def _seen(scene: Any, measurement: Measurement, of: str) -> Any:
-    mine, theirs = jax.tree.leaves(scene.illumination), jax.tree.leaves(measurement.illumination)
-    same = type(scene.illumination) is type(measurement.illumination) and len(mine) == len(theirs)
-    if same:
-        pairs = zip(mine, theirs, strict=True)
-        same = all(np.allclose(np.asarray(a), np.asarray(b), rtol=0, atol=1e-6) for a, b in pairs)
-    if not same:
-        raise ValueError(
-            f"{of}the scene is lit by {_short(scene.illumination)}, the measurement by "
-            f"{_short(measurement.illumination)}; expected the same illumination: set it in the scene, or correct "
-            "the measurement's"
-        )
+    check_light(scene.illumination, measurement.illumination, of)
     return vc.Scene(scene.surface, scene.material, scene.illumination, measurement.view)
-
-
-def _short(light: Any) -> str:
-    numbers = ", ".join(f"{float(leaf):.6g}" for leaf in jax.tree.leaves(light))
-    return f"{type(light).__name__}({numbers})"
 
 
 def _with_uncertainty(
@@ -483,9 +469,7 @@ def _data(
     values, weights, means, known = [], [], [], []
     for part, m in zip(layout.parts, measurements, strict=True):
         present = ~np.isnan(m.reflectance_factor)
-        limit = max((abs(named[i].upper) for r, i in part.roles if r == "wavelength_shift"), default=None)
-        if limit is not None:
-            present = present & instrument.within_shift(m.wavelengths_nm, float(limit))
+        present = present & part.reached(named)
         if not present.any():
             raise ValueError("the measurement holds no value (all are NaN); expected at least one")
         assert m.standard_uncertainty is not None

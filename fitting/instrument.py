@@ -56,9 +56,9 @@ def can_tilt(scene: Any) -> bool:
     return isinstance(scene.view, vc.View) and isinstance(scene.illumination, vc.Diffuse | vc.Directional)
 
 
-def within_shift(wavelengths_nm: Float[np.ndarray, " w"], limit_nm: float) -> np.ndarray:
-    """Which wavelengths stay within the measured range whatever the shift."""
-    low, high = wavelengths_nm[0] + limit_nm, wavelengths_nm[-1] - limit_nm
+def within_shift(wavelengths_nm: Float[np.ndarray, " w"], least_nm: float, most_nm: float) -> np.ndarray:
+    """Which wavelengths stay within the measured range whatever the shift between two limits."""
+    low, high = wavelengths_nm[0] - least_nm, wavelengths_nm[-1] - most_nm
     return np.asarray((wavelengths_nm >= low) & (wavelengths_nm <= high))
 
 

@@ -113,6 +113,18 @@ class Profile:
         if len(wanted):
             self.cost(wanted)
 
+    def reach_out(self, best: float, error: float, minimum: float, threshold: float) -> None:
+        """Add points beside the best value, in steps of its standard error, until the threshold or a bound."""
+        parameter = self._problem.numbers[self._slot]
+        low, high = float(parameter.lower), float(parameter.upper)
+        for sign in (-1, 1):
+            for share in (0.7, 1.4, 2.1, 2.8, 4.2, 6.4, 9.6, 14.4, 21.6):
+                value = float(np.clip(best + sign * share * error, low, high))
+                if value == best or not self.cost(np.array([value]))[0] - minimum < threshold:
+                    break
+                if value in (low, high):
+                    break
+
     def region(self, minimum: float, threshold: float) -> tuple[Pieces, bool]:
         """Where chi-square exceeds its minimum by less than a threshold.
 
@@ -218,7 +230,8 @@ def envelope(
     within = np.isfinite(delta) & (delta < threshold) & np.isfinite(variance)
     if not within.any() or not np.isfinite(points.variance[:, number]).any():
         return Envelope([bounds], np.empty(0), np.empty(0))
-    reach = np.sqrt(variance * np.clip(threshold - delta, 0, None), where=within, out=np.zeros(len(delta)))
+    room = np.where(within, threshold - delta, 0.0)
+    reach = np.sqrt(np.where(within, variance, 0.0) * room)
     pieces: Pieces = []
     # A stretch of neighbors is connected, so is the image of it.
     runs = [slice(a, b + 1) for a, b in _runs(within)]

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 import vcavity_jax as vc
 from fitting import instrument
+from fitting.parameters import Parameter
 from fitting.spectra import Form
 
 
@@ -102,6 +103,14 @@ class Part:
     def tilts(self) -> bool:
         """Whether a tilt of the sample is free."""
         return any(role in ("tilt_across", "tilt_along") for role, _ in self.roles)
+
+    def reached(self, numbers: Sequence[Parameter]) -> np.ndarray:
+        """At which wavelengths there is a prediction whatever the wavelength shift, shape (L,)."""
+        for role, number in self.roles:
+            if role == "wavelength_shift":
+                shift = numbers[number]
+                return instrument.within_shift(self.wavelengths_nm, float(shift.lower), float(shift.upper))
+        return np.ones(len(self.wavelengths_nm), bool)
 
     @property
     def key(self) -> tuple[Any, ...]:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from fitting import search
 from fitting.arrow import CONVERGED, Lane
 from fitting.assembly import build
-from fitting.measurement import Measurement
+from fitting.measurement import Measurement, same_light
 from fitting.problem import GRID_STEPS, INNER_STEPS, Descent, Problem
 
 LANES = 32
@@ -159,11 +159,11 @@ def _stacked(
         for i, m in enumerate(every):
             same = all(
                 np.array_equal(getattr(m, a), getattr(template, a), equal_nan=True)
-                for a in ("wavelengths_nm", "polar", "azimuth")
+                for a in ("wavelengths_nm", "polar", "azimuth", "hemispherical")
             )
-            if not same:
+            if not (same and same_light(m.illumination, template.illumination)):
                 raise ValueError(
-                    f"measurement {i} has other wavelengths or directions than the first; expected the same"
+                    f"measurement {i} has other wavelengths, directions or light than the first; expected the same"
                 )
         values = np.stack([m.reflectance_factor for m in every])
         sigma = standard_uncertainty
@@ -198,13 +198,14 @@ def _fit_batch(problem: Problem, values: np.ndarray, sigma: np.ndarray, max_step
     """Columns of the result for some spectra."""
     count = len(values)
     allowed = np.asarray(problem.data.weights[0]) > 0
-    missing = np.isnan(values) | ~allowed
+    absent = np.isnan(values)
     bad = np.isinf(values).any(axis=(1, 2))
-    empty = missing.all(axis=(1, 2))
-    missing = missing | (bad | empty)[:, None, None]
+    empty = (absent | ~allowed).all(axis=(1, 2))
+    absent = absent | (bad | empty)[:, None, None]
+    missing = absent | ~allowed
     weights = np.where(missing, 0.0, 1 / np.where(missing, 1.0, sigma))
-    present = np.maximum((~missing).sum(axis=2), 1)
-    batch = _Batch(np.where(missing, 0.0, values), weights, np.where(missing, 0.0, values).sum(axis=2) / present)
+    means = np.where(absent, 0.0, values).sum(axis=2) / np.maximum((~absent).sum(axis=2), 1)
+    batch = _Batch(np.where(missing, 0.0, values), weights, means)
     owner, starts, spectra = _candidates(problem, batch)
     ends = _descend(problem, batch, owner, starts, spectra, None, 0, max_steps)
     shape = (count, len(problem.numbers))
@@ -227,6 +228,7 @@ def _fit_batch(problem: Problem, values: np.ndarray, sigma: np.ndarray, max_step
         errors[who] = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         variance = normal.spectral_variance(covariance)
         found_errors[who] = np.sqrt(np.where(np.isfinite(variance), variance, np.nan))
+    found[who] = np.where(normal.determined[:, None], found[who], np.nan)
     undetermined = np.isnan(errors[who]).any(axis=1)
     bounds = np.array([[p.lower for p in problem.numbers], [p.upper for p in problem.numbers]]).reshape(2, -1)
     hit = np.isclose(numbers[who][:, None], bounds[None], rtol=1e-9, atol=1e-12)
@@ -239,9 +241,7 @@ def _fit_batch(problem: Problem, values: np.ndarray, sigma: np.ndarray, max_step
     status[who] = words
     status[empty], status[bad] = "no value", "bad value"
     gap[who] = _gaps(problem, ends.values, cost, owner, some)
-    measured = (weights > 0).sum(axis=(1, 2))
-    template = int(np.sum(np.asarray(problem.data.weights[0]) > 0))
-    dof = measured - (template - problem.degrees_of_freedom)
+    dof = np.array([problem.freedom([w]) for w in weights], dtype=int)
     return numbers, errors, found, found_errors, chi_square, dof, gap, status, steps
 
 

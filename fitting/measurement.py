@@ -193,6 +193,36 @@ class Measurement:
 _ARRAYS = ("wavelengths_nm", "polar", "azimuth", "reflectance_factor", "standard_uncertainty")
 
 
+def same_light(first: Any, second: Any) -> bool:
+    """Whether two lights are of one kind and their numbers agree to 1e-6."""
+    import jax  # Reading a file does not need it.
+
+    numbers = [jax.tree.leaves(light) for light in (first, second)]
+    if type(first) is not type(second) or len(numbers[0]) != len(numbers[1]):
+        return False
+    return all(np.allclose(a, b, rtol=0, atol=1e-6) for a, b in zip(*numbers, strict=True))
+
+
+def check_light(scene_light: Any, measured_light: Any, of: str = "") -> None:
+    """Refuse a scene that is lit otherwise than the measurement.
+
+    Raises:
+        ValueError: they differ; ``of`` begins the message.
+    """
+    if not same_light(scene_light, measured_light):
+        raise ValueError(
+            f"{of}the scene is lit by {_short(scene_light)}, the measurement by {_short(measured_light)}; "
+            "expected the same illumination: set it in the scene, or correct the measurement's"
+        )
+
+
+def _short(light: Any) -> str:
+    import jax
+
+    numbers = ", ".join(f"{float(leaf):.6g}" for leaf in jax.tree.leaves(light))
+    return f"{type(light).__name__}({numbers})"
+
+
 def read_spectrum(
     path: str | PathLike[str],
     *,

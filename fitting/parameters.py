@@ -111,6 +111,16 @@ class Parameter(_Spread):
         return self.start is None
 
     @property
+    def bends(self) -> bool:
+        """Whether chi-square is no parabola in the value even where the model is linear in it."""
+        return self.gaussian is not None and self.gaussian[2]
+
+    @property
+    def unbounded(self) -> bool:
+        """Whether every number is allowed."""
+        return not (math.isfinite(self.lower) or math.isfinite(self.upper))
+
+    @property
     def gaussian(self) -> tuple[float, float, bool] | None:
         """Center and width of the prior, and whether they are of the logarithm; None without any."""
         prior: Prior | None = self.prior

@@ -133,30 +133,28 @@ class Problem:
 
     @property
     def tabular(self) -> bool:
-        """Beside what is searched only gain and offset are unknown: they can be eliminated exactly."""
-        others = len(self.numbers) - len(self.searched)
-        return bool(self.searched) and others == len(self.linear) and not self.layout.free_spectra
-
-    @property
-    def unknowns(self) -> int:
-        """Count of all unknowns that the data or a prior have a say in."""
-        used = self._measured_wavelengths() | (np.asarray(self.data.spectral_tightness) > 0).all(axis=0)
-        return len(self.numbers) + self.layout.free_spectra * int(used.sum())
+        """Beside what is searched only gains and offsets are unknown, whose best values have a closed form."""
+        others = self.numbers[len(self.searched) :]
+        exact = all(p.role in ("gain", "offset") and p.unbounded and not p.bends for p in others)
+        return bool(self.searched) and exact and not self.layout.free_spectra
 
     @property
     def degrees_of_freedom(self) -> int:
         """Values and priors less unknowns."""
-        used = sum(int(np.sum(np.asarray(w) > 0)) for w in self.data.weights)
-        priors = int(np.sum(np.asarray(self.data.tightness) > 0))
-        spectral = int(np.sum(np.asarray(self.data.spectral_tightness) > 0))
-        return used + priors + spectral - self.unknowns
+        return self.freedom([np.asarray(w) for w in self.data.weights])
 
-    def _measured_wavelengths(self) -> np.ndarray:
-        used = np.zeros(self.layout.blocks, dtype=bool)
+    def freedom(self, weights: Sequence[np.ndarray]) -> int:
+        """Degrees of freedom for other weights, one array of shape (D, L) for each measurement."""
+        priors = [np.asarray(t) > 0 for t in (self.data.tightness, self.data.spectral_tightness)]
+        return sum(int(np.sum(known)) for known in (*(w > 0 for w in weights), *priors)) - self.unknowns(weights)
+
+    def unknowns(self, weights: Sequence[np.ndarray]) -> int:
+        """Count of all unknowns that the values or a prior have a say in."""
+        used: np.ndarray = np.all(np.asarray(self.data.spectral_tightness) > 0, axis=0)
         if self.layout.free_spectra:
-            for part, weights in zip(self.layout.parts, self.data.weights, strict=True):
-                used[part.places] |= (np.asarray(weights) > 0).any(axis=0)
-        return used
+            for part, w in zip(self.layout.parts, weights, strict=True):
+                used[part.places] |= (w > 0).any(axis=0)
+        return len(self.numbers) + self.layout.free_spectra * int(used.sum())
 
     @property
     def lanes(self) -> int:

@@ -150,9 +150,11 @@ def _of_spectrum(
     row = problem.free_names.index(name)
     bounds = np.asarray(problem.data.spectral_bounds, np.float64)[:, row]
     best, error = float(estimate.value[place]), float(estimate.standard_error[place])
-    reach = _ERRORS * error if np.isfinite(error) else np.inf
-    low, high = max(best - reach, bounds[0]), min(best + reach, bounds[1])
-    values = np.unique(np.append(np.linspace(low, high, points), best))
+    low, high = bounds
+    if np.isfinite(best) and np.isfinite(error):
+        low, high = max(best - _ERRORS * error, low), min(best + _ERRORS * error, high)
+    values = np.linspace(low, high, points)
+    values = np.unique(np.append(values, best)) if np.isfinite(best) else values
     start = result.found.minima.take([0])
     spectra = np.repeat(start.spectra, len(values), axis=0)
     spectra[:, row, place] = values

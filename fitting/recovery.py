@@ -23,7 +23,7 @@ from scipy.special import gammaincc  # type: ignore[import-untyped]
 
 import vcavity_jax as vc
 from fitting import files
-from fitting.measurement import Measurement
+from fitting.measurement import Measurement, check_light
 from vcavity_jax import reflectance as forward
 from vcavity_jax.planning import interfaced_panel
 from vcavity_jax.resolution import INTERFACED_NARROWEST, NARROWEST
@@ -157,7 +157,7 @@ def recover_reflectance(scene: Any, measurement: Measurement, *, tolerance: floa
             "a number of the scene is traced by JAX; expected known numbers: fitting.recovery.reflectance_of is "
             "the function to differentiate or compile"
         )
-    _check_light(scene.illumination, measurement.illumination)
+    check_light(scene.illumination, measurement.illumination)
     count = measurement.wavelengths_nm.size
     _check_wavelengths(scene.material, count)
     scene = vc.Scene(scene.surface, scene.material, scene.illumination, measurement.view)
@@ -550,20 +550,6 @@ def _check_wavelengths(material: Any, count: int) -> None:
                 f"the material's {name} has shape {np.shape(part)}, the measurement {count} wavelengths; expected "
                 f"() or ({count},): tabulate the material at the measurement's wavelengths"
             )
-
-
-def _check_light(scene: Any, measured: Any) -> None:
-    mine, theirs = jax.tree.leaves(scene), jax.tree.leaves(measured)
-    same = type(scene) is type(measured) and len(mine) == len(theirs)
-    if not same or not all(np.allclose(a, b, rtol=0, atol=1e-6) for a, b in zip(mine, theirs, strict=True)):
-        names = [
-            f"{type(light).__name__}({', '.join(f'{float(leaf):.6g}' for leaf in jax.tree.leaves(light))})"
-            for light in (scene, measured)
-        ]
-        raise ValueError(
-            f"the scene is lit by {names[0]}, the measurement by {names[1]}; expected the same illumination: set "
-            "it in the scene, or correct the measurement's"
-        )
 
 
 def _warnings(result: Recovery, weights: np.ndarray) -> Iterator[str]:

@@ -133,12 +133,38 @@ def report(problem: Problem, found: Found, unknown: bool) -> FitResult:
         pieces, inside = profile.region(chi_square, threshold)
         searched.append(_Searched(error, pieces, inside, kink is not None, (left, right), profile))
     along = searched[0].profile.points if searched else found.table
+    hidden = _hidden(problem)
     others = {
-        i: envelope(along, i, chi_square, threshold, (float(p.lower), float(p.upper)))
+        i: _beside(problem, minima, i, along, information, threshold)
         for i, p in enumerate(problem.numbers)
-        if not p.searched
+        if not p.searched and i not in hidden
     }
     return _assemble(problem, found, unknown, information, searched, others, along, threshold)
+
+
+def _beside(
+    problem: Problem,
+    minima: Descent,
+    slot: int,
+    along: Evaluation,
+    information: LocalInformation,
+    threshold: float,
+) -> Envelope:
+    """Profile of a number that is not searched: from what is known, if nothing bends it."""
+    parameter, best = problem.numbers[slot], minima.values[0]
+    bounds = float(parameter.lower), float(parameter.upper)
+    quick = envelope(along, slot, float(minima.chi_square[0]), threshold, bounds)
+    error = float(information.standard_errors[slot])
+    reached = quick.pieces[0][0] <= bounds[0] or quick.pieces[-1][1] >= bounds[1]
+    # A neighbor that is held by its bound may come off it.
+    held = any(best[i] in (p.lower, p.upper) for i, p in enumerate(problem.numbers) if not p.searched)
+    if not (reached or held or parameter.bends) or not np.isfinite(error):
+        return quick
+    profile = Profile(problem, slot, problem.evaluation(minima, np.arange(len(problem.numbers)) == slot))
+    profile.add_minima(minima)
+    profile.reach_out(float(best[slot]), error, float(minima.chi_square[0]), threshold)
+    pieces, _ = profile.region(float(minima.chi_square[0]), threshold)
+    return Envelope(pieces, profile.values, profile.points.chi_square)
 
 
 def _assemble(
@@ -166,12 +192,15 @@ def _assemble(
             estimates[p.name] = Estimate(value, error, own.interval, p.unit, at_bound, kink, own.one_sided)
             open_names += [] if own.closed else [p.name]
         elif i not in hidden:
+            if p.prior is None and error > p.upper - p.lower:
+                error = np.nan
+                open_names.append(p.name)
             estimates[p.name] = Estimate(value, error, others[i].pieces, p.unit, at_bound)
     estimates |= _spectral_estimates(problem, minima, information, along, threshold)
     names = [p.name for p in problem.numbers]
     listed = [_minimum(problem, minima, k, hidden) for k in range(len(minima.chi_square))]
     drawn = {names[i]: (s.profile.values, s.profile.points.chi_square) for i, s in enumerate(searched)}
-    drawn |= {names[i]: (e.values, e.chi_square) for i, e in others.items() if i not in hidden}
+    drawn |= {names[i]: (e.values, e.chi_square) for i, e in others.items()}
     describes = identifiability.describes_data(chi_square, problem.degrees_of_freedom, unknown)
     status, message = _status(problem, estimates, open_names, information, bool(minima.converged[0]))
     if describes is False:
@@ -237,12 +266,13 @@ def _branches(problem: Problem, minima: Descent) -> int:
 
 
 def _predicted(problem: Problem, minima: Descent, information: LocalInformation) -> tuple[np.ndarray, ...]:
-    """Recorded values at the best fit; none where a free spectrum is not determined."""
-    lost = ~information.determined
+    """Recorded values at the best fit; none where a free spectrum is not determined, or beyond a shift's reach."""
     found = []
     for part, whole in zip(problem.layout.parts, minima.predicted, strict=True):
-        depends = any(slot.source is None for slot in part.spectral)
-        found.append(np.where(lost[part.places], np.nan, whole[0]) if depends else whole[0])
+        known = part.reached(problem.numbers)
+        if any(slot.source is None for slot in part.spectral):
+            known = known & information.determined[part.places]
+        found.append(np.where(known, whole[0], np.nan))
     return tuple(found)
 
 
