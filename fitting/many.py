@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from fitting import search
-from fitting.arrow import CONVERGED, Lane
+from fitting.arrow import CONVERGED, OUT_OF_STEPS, Lane
 from fitting.assembly import build
 from fitting.measurement import Measurement, same_light
 from fitting.problem import GRID_STEPS, INNER_STEPS, Descent, Problem
@@ -18,6 +18,7 @@ LANES = 32
 """Descents per call."""
 
 _SPECTRA_AT_ONCE = 256
+_STEPS = 60
 _MOST_VALLEYS = 5
 _REACH = 25.0
 _COARSE_POINTS = 60
@@ -81,7 +82,7 @@ def fit_many(
     spectra: Float[np.ndarray, "n d w"] | None = None,
     standard_uncertainty: Any = None,
     tolerance: float = 1e-6,
-    max_steps: int = 60,
+    max_steps: int = 300,
     throw: bool = False,
 ) -> ManyResult:
     """Fit each of many spectra by itself, measured in the same directions at the same wavelengths.
@@ -207,7 +208,14 @@ def _fit_batch(problem: Problem, values: np.ndarray, sigma: np.ndarray, max_step
     means = np.where(absent, 0.0, values).sum(axis=2) / np.maximum((~absent).sum(axis=2), 1)
     batch = _Batch(np.where(missing, 0.0, values), weights, means)
     owner, starts, spectra = _candidates(problem, batch)
-    ends = _descend(problem, batch, owner, starts, spectra, None, 0, max_steps)
+    ends = _descend(problem, batch, owner, starts, spectra, None, 0, min(_STEPS, max_steps))
+    # Few need more, next to a kink; the others must not wait for them.
+    if max_steps > _STEPS and len(slow := np.flatnonzero(ends.status == OUT_OF_STEPS)):
+        again = _descend(
+            problem, batch, owner[slow], ends.values[slow], ends.spectra[slow], None, 0, max_steps - _STEPS
+        )
+        for whole, part in zip(ends[:-1], again[:-1], strict=True):
+            whole[slow] = whole[slow] + part if whole is ends.steps or whole is ends.rejected else part
     shape = (count, len(problem.numbers))
     free = (count, *problem.starts.shape[1:])
     numbers, errors = np.full(shape, np.nan), np.full(shape, np.nan)
