@@ -74,6 +74,21 @@ class _Batch:
     means: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Where the search looks.
+
+    Args:
+        shape: points along each searched number.
+        points: the numbers, shape (G, P).
+        factors: true reflectance factors there, shape (G, D, L); None where each spectrum needs its own.
+    """
+
+    shape: tuple[int, ...]
+    points: np.ndarray
+    factors: np.ndarray | None
+
+
 def fit_many(
     scene: Any,
     measurements: Measurement | Sequence[Measurement],
@@ -111,12 +126,11 @@ def fit_many(
     problem = build(scene, template, parameters, None, tolerance)
     if len(problem.measurements) > 1:
         raise ValueError("fit_many fits single measurements; expected one Scene")
-    rows = [
-        _fit_batch(
-            problem, values[first : first + _SPECTRA_AT_ONCE], sigma[first : first + _SPECTRA_AT_ONCE], max_steps
-        )
-        for first in range(0, len(values), _SPECTRA_AT_ONCE)
-    ]
+    grid = _grid(problem)
+    rows = []
+    for first in range(0, len(values), _SPECTRA_AT_ONCE):
+        some = slice(first, first + _SPECTRA_AT_ONCE)
+        rows.append(_fit_batch(problem, grid, values[some], sigma[some], max_steps))
     columns = [np.concatenate(column) for column in zip(*rows, strict=True)]
     numbers, errors, free, free_errors, chi_square, dof, gap, status, steps = columns
     names = [p.name for p in problem.numbers]
@@ -195,7 +209,24 @@ def _stacked(
     return typical, values, sigma
 
 
-def _fit_batch(problem: Problem, values: np.ndarray, sigma: np.ndarray, max_steps: int) -> tuple[np.ndarray, ...]:
+def _grid(problem: Problem) -> _Grid:
+    """Where the search looks, and the table of the model there if all spectra can share one."""
+    if not problem.searched:
+        return _Grid((), problem.start_values[None], None)
+    if len(problem.searched) == 1:
+        axes = [search.axis(problem.searched[0], problem.kinks(0)) if problem.tabular else _coarse(problem)]
+    else:
+        axes = search.product_axes(problem.searched)
+    product = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=1)
+    points = np.repeat(problem.start_values[None], len(product), axis=0)
+    points[:, : len(axes)] = product
+    factors = problem.factors(points)[0] if problem.tabular else None
+    return _Grid(tuple(len(a) for a in axes), points, factors)
+
+
+def _fit_batch(
+    problem: Problem, grid: _Grid, values: np.ndarray, sigma: np.ndarray, max_steps: int
+) -> tuple[np.ndarray, ...]:
     """Columns of the result for some spectra."""
     count = len(values)
     allowed = np.asarray(problem.data.weights[0]) > 0
@@ -207,7 +238,7 @@ def _fit_batch(problem: Problem, values: np.ndarray, sigma: np.ndarray, max_step
     weights = np.where(missing, 0.0, 1 / np.where(missing, 1.0, sigma))
     means = np.where(absent, 0.0, values).sum(axis=2) / np.maximum((~absent).sum(axis=2), 1)
     batch = _Batch(np.where(missing, 0.0, values), weights, means)
-    owner, starts, spectra = _candidates(problem, batch)
+    owner, starts, spectra = _candidates(problem, grid, batch)
     ends = _descend(problem, batch, owner, starts, spectra, None, 0, min(_STEPS, max_steps))
     # Few need more, next to a kink; the others must not wait for them.
     if max_steps > _STEPS and len(slow := np.flatnonzero(ends.status == OUT_OF_STEPS)):
@@ -272,34 +303,25 @@ def _gaps(
     return gaps
 
 
-def _candidates(problem: Problem, batch: _Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _candidates(problem: Problem, grid: _Grid, batch: _Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Starts of the descents: the spectrum each belongs to, the numbers and the free spectra."""
     usable = np.flatnonzero((batch.weights > 0).any(axis=(1, 2)))
     if not problem.searched:
-        starts = np.repeat(problem.start_values[None], len(usable), axis=0)
-        return _relaxed(problem, batch, usable, starts)
-    if len(problem.searched) == 1:
-        parameter = problem.searched[0]
-        axes = [search.axis(parameter, problem.kinks(0))] if problem.tabular else [_coarse(problem)]
-    else:
-        axes = search.product_axes(problem.searched)
-    grid = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=1)
-    whole = np.repeat(problem.start_values[None], len(grid), axis=0)
-    whole[:, : grid.shape[1]] = grid
+        return _relaxed(problem, batch, usable, np.repeat(grid.points, len(usable), axis=0))
     owners: list[int] = []
     values: list[np.ndarray] = []
     spectra: list[np.ndarray] = []
-    if problem.tabular:
-        cost, linear = _table_costs(problem, batch, whole)
+    if grid.factors is not None:
+        cost, linear = _table_costs(problem, batch, grid.points, grid.factors)
     for who in usable:
-        if problem.tabular:
-            own_cost, own_values, own_spectra = cost[who], whole, np.zeros((len(grid), 0, 1))
+        if grid.factors is not None:
+            own_cost, own_values, own_spectra = cost[who], grid.points, np.zeros((len(grid.points), 0, 1))
         else:
-            held = np.arange(len(problem.numbers)) < grid.shape[1]
-            own_cost, own_values, own_spectra = _own_table(problem, batch, int(who), whole, held)
-        for k in _valleys(own_cost, [len(a) for a in axes]):
+            held = np.arange(len(problem.numbers)) < len(grid.shape)
+            own_cost, own_values, own_spectra = _own_table(problem, batch, int(who), grid.points, held)
+        for k in _valleys(own_cost, grid.shape):
             start = own_values[k].copy()
-            if problem.tabular:
+            if grid.factors is not None:
                 start[list(problem.linear)] = linear[who, k]
             owners.append(int(who))
             values.append(start)
@@ -318,7 +340,7 @@ def _coarse(problem: Problem) -> np.ndarray:
     return np.asarray(parameter.from_natural(np.linspace(low, high, _COARSE_POINTS)), dtype=np.float64)
 
 
-def _valleys(cost: np.ndarray, shape: list[int]) -> list[int]:
+def _valleys(cost: np.ndarray, shape: tuple[int, ...]) -> list[int]:
     """Where descents begin: local minima that could be the lowest, best first."""
     cost = np.where(np.isfinite(cost), cost, np.inf)
     if len(shape) > 1:
@@ -338,9 +360,10 @@ def _valleys(cost: np.ndarray, shape: list[int]) -> list[int]:
     return [int(k) for k in keep[np.argsort(cost[keep], kind="stable")]]
 
 
-def _table_costs(problem: Problem, batch: _Batch, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _table_costs(
+    problem: Problem, batch: _Batch, points: np.ndarray, factors: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Chi-square of every spectrum at every point with gain and offset eliminated, and these."""
-    (factors,) = problem.factors(points)
     flat = factors.reshape(len(points), -1)
     w2 = (batch.weights**2).reshape(len(batch.values), -1)
     h = batch.values.reshape(len(batch.values), -1)

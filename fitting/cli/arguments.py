@@ -111,8 +111,8 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
     fit.add_argument(
         "--config",
         metavar="FILE",
-        help="take measurements, surface and parameters from this file (TOML, see docs/fitting.md) instead of "
-        "options; --output, --json and --tolerance may stand beside it",
+        help="take measurements, surface and parameters from this file (TOML, see docs/parameters.md) instead "
+        "of options; --output, --json and --tolerance may stand beside it",
     )
     _add_scene_options(fit, defaults=False)
     what = fit.add_argument_group("what is fitted")
@@ -182,6 +182,9 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
     )
     output.add_argument("--json", action="store_true", help="print the JSON alone")
     _add_tolerance(fit, None)
+    fit.add_argument(
+        "--max-steps", type=words.count, metavar="N", help="most steps of each descent to a minimum (default: 60)"
+    )
 
 
 def _add_predict_options(predict: argparse.ArgumentParser) -> None:

@@ -127,7 +127,7 @@ def _freed(name: str, content: Any, place: Place, labels: Sequence[str], default
     except ValueError as error:
         raise place.error(str(error)) from None
     made = list(made) if isinstance(made, tuple) else [made]
-    if spread != "shared":
+    if spread != "shared" and len(labels) > 1:
         made = [p.separate() if spread == "separate" else p.only(*spread) for p in made]
     concerned = tuple(labels) if isinstance(spread, str) else spread
     return Freed(name, place, made, concerned, kind, around)

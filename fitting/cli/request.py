@@ -64,7 +64,8 @@ def of_options(given: argparse.Namespace) -> Request:
         scene=seen(sample, measurement),
         measurement=measurement,
         parameters=parameters,
-        options={"standard_uncertainty": given.uncertainty},
+        options={"standard_uncertainty": given.uncertainty}
+        | ({} if given.max_steps is None else {"max_steps": given.max_steps}),
         folder=source.with_name(f"{source.stem}-fit"),
     )
 

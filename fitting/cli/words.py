@@ -80,6 +80,12 @@ def pixels(text: str) -> int:
     return int(_require(value, value % 1 == 0 and 1 <= value <= 4096, text, "a whole number from 1 to 4096"))
 
 
+def count(text: str) -> int:
+    """A whole number of at least 1."""
+    value = finite(text)
+    return int(_require(value, value % 1 == 0 and value >= 1, text, "a whole number of at least 1"))
+
+
 def roughness(text: str) -> float:
     """A roughness m of random grooves."""
     value = finite(text)

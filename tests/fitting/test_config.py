@@ -346,6 +346,12 @@ def test_values_spread_over_measurements(no_fit: None) -> None:
     assert_parameters(found, expected, scenes["a"])
 
 
+@pytest.mark.parametrize("spread", ['"separate"', '["a"]', '"shared"'])
+def test_of_one_measurement_there_is_nothing_to_spread(no_fit: None, spread: str) -> None:
+    given = configured(f"{ONE}{MATTE}[parameters.angle]\n[parameters.gain]\nmeasurements = {spread}\n")[2]
+    assert [(p.name, p.among) for p in given] == [("angle", "shared"), ("gain", "shared")]
+
+
 def test_a_parameter_may_have_a_table_for_each_measurement(no_fit: None) -> None:
     tables = (
         '[[parameters.gain]]\nmeasurements = ["a"]\n[[parameters.gain]]\nmeasurements = ["b"]\nprior = "none"\n'
@@ -424,6 +430,11 @@ def test_file_names_start_at_the_config(no_fit: None, folder: Path, monkeypatch:
     scene, m, _, _ = asked("--config", "../fit.toml")
     assert_same(scene.material, vc.Lambertian(NM / 1000))
     np.testing.assert_array_equal(m.reflectance_factor, Measurement.read("../a.csv").reflectance_factor)
+
+
+def test_most_steps(no_fit: None) -> None:
+    given = asked("a.csv", "--material", "lambertian", "--reflectance", "0.5", "--max-steps", "200")[3]
+    assert given["max_steps"] == 200
 
 
 def test_options_of_the_fit(no_fit: None) -> None:
