@@ -143,7 +143,7 @@ def test_total_external_reflection() -> None:
     np.testing.assert_allclose(rough, fine, rtol=0, atol=2e-6)
 
 
-@pytest.mark.parametrize("tame", [True, False])
+@pytest.mark.parametrize("tame", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_gradients(tame: bool) -> None:
     """Both modes, jitted with everything known, against differences of the value."""
     index = jnp.asarray([SILVER, SILICON, GLASS] if tame else [SILVER, ENZ, 0.6 + 0.2j])
@@ -197,7 +197,7 @@ def test_where_reflections_set_in() -> None:
     assert np.all(np.asarray(narrow[0]) > 0)
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", [pytest.param("exact", marks=pytest.mark.slow), "unpol", "sep"])
 def test_random_grooves(model: str) -> None:
     """Records at 1e-10 for full polarization, at 1e-6 for the others; one call and table are the same."""
     tolerance = 1e-10 if model == "exact" else 1e-6
@@ -228,7 +228,7 @@ def hard_table(tolerance: float) -> BihemisphericalTable:
     return jax.jit(lambda: BihemisphericalTable.build(index, "full", points))()
 
 
-@pytest.mark.parametrize("slopes", ["beckmann", "gaussian"])
+@pytest.mark.parametrize("slopes", [pytest.param("beckmann", marks=pytest.mark.slow), "gaussian"])
 def test_table_keeps_its_tolerance(slopes: Any) -> None:
     """Against a direct integral in u: no interpolation, all its own sampling. Then down to flat surfaces."""
     table, flat = hard_table(1e-7), evaluate(1e-12, None, 180.0, [SILVER, GLASS, 1.001 + 0j, 50 + 0j, 1 + 20j])
@@ -279,6 +279,7 @@ def test_gradients_of_averages() -> None:
         np.testing.assert_allclose(slope, difference, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_single_precision() -> None:
     """Nothing is promoted, and five digits are right."""
     index = np.array([SILVER, SILICON, GLASS, ENZ])

@@ -422,7 +422,7 @@ def test_gradients_match_the_records(light: str) -> None:
 KINKS = np.pi / np.array([4, 3, 2, 1])
 
 
-@pytest.mark.parametrize("light", ["diffuse", "directional"])
+@pytest.mark.parametrize("light", ["diffuse", *slow("directional")])
 def test_gradients_on_kinks_are_finite(light: str) -> None:
     """Frontal light and view, where several kinks meet; programs of the records."""
     frontal = jnp.zeros(()), jnp.zeros(())

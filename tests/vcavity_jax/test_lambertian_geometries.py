@@ -199,7 +199,13 @@ def test_open_scenes_are_closed_forms() -> None:
     np.testing.assert_allclose(trapped(angle, none, plan, nodes), wanted, rtol=0, atol=1e-15)
 
 
-@pytest.mark.parametrize("light", [Annular(0.8), DiffuseWithTrap(0.5, 0.3, 0.4)], ids=["ring", "trap"])
+@pytest.mark.parametrize(
+    "light",
+    [
+        pytest.param(Annular(0.8), id="ring"),
+        pytest.param(DiffuseWithTrap(0.5, 0.3, 0.4), id="trap", marks=pytest.mark.slow),
+    ],
+)
 def test_profiles(light: Any) -> None:
     """Local radiance is the sum over the same lights; its jump at every shadow edge is summed exactly."""
     a = 0.9
@@ -307,7 +313,7 @@ def slopes_agree(function: Callable[..., Any], *arguments: float, step: float = 
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param(k, marks=pytest.mark.slow) if "," in k or k == "parallel" else k for k in KINDS]
+    "kind", [pytest.param(k, marks=pytest.mark.slow) if k not in ("hemispheres", "trap") else k for k in KINDS]
 )
 def test_gradients(kind: str) -> None:
     """In angle, polar angle, reflectances and half-angle; finite at the ends of their ranges."""
@@ -320,6 +326,7 @@ def test_gradients(kind: str) -> None:
         assert np.all(np.isfinite(np.asarray(gradient(jnp.asarray(end))))), end
 
 
+@pytest.mark.slow
 def test_gradients_in_roughness() -> None:
     """Down to the flat surface, where the mean of the panels' reflectances is left."""
     for kind in ("hemispheres", "ring, hemisphere"):
