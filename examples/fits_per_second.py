@@ -242,8 +242,8 @@ def markdown(results: list[Result], machine: dict[str, str]) -> str:
             aims.append(
                 f"- gain {'free' if r.gain else 'known'}: fit_many makes {ratio:.3g} times as many fits as"
                 f" {rival.method}; on its {rival.fits} problems the rms error is {r.shared_rms_deg:.3f}° against"
-                f" {rival.rms_deg:.3f}°, success {r.shared_success:.0%} against {rival.success:.0%}; aim {AIM_RATIO:g}"
-                f" times at no larger error (1 % for noise): {'reached' if reached else 'NOT reached'}"
+                f" {rival.rms_deg:.3f}°, success {r.shared_success:.0%} against {rival.success:.0%}; aim"
+                f" {AIM_RATIO:g} times at no larger error (+1 %): {'reached' if reached else 'NOT reached'}"
             )
     return "\n".join([*lines, "", *aims]) + "\n"
 
