@@ -31,9 +31,7 @@ jax.config.update("jax_enable_x64", True)
 
 import vcavity_jax as vc  # noqa: E402
 from fitting import Measurement, fit, fit_many, free  # noqa: E402
-from fitting.arrow import Lane  # noqa: E402
 from fitting.assembly import build  # noqa: E402
-from fitting.many import LANES  # noqa: E402
 
 WAVELENGTHS = np.linspace(400.0, 700.0, 11)
 SIGMA = 0.005
@@ -186,24 +184,18 @@ def from_truth(row: Row, truths: list[Truth]) -> np.ndarray:
     """Chi-square where a descent from each truth ends, shape (N,)."""
     typical = row.measurement(np.full(truths[0].measured.shape, 0.5))
     problem = build(row.scene(1.0, row.known), typical, row.parameters, None, TOLERANCE)
-    own = [[t.value, t.gain, t.offset][: len(problem.numbers)] for t in truths]
-    measured, natural = np.array([t.measured for t in truths]), problem.natural(np.array(own))
+    own = np.array([[t.value, t.gain, t.offset][: len(problem.numbers)] for t in truths])
+    every = np.array([t.measured for t in truths])
     free_ones = [t.spectra[: len(problem.free_names)] for t in truths]
     spectra = np.reshape(free_ones, (len(truths), *problem.starts.shape[1:]))
-    compiled = None
-    found = []
-    for first in range(0, len(truths), LANES):
-        some = np.minimum(np.arange(first, first + LANES), len(truths) - 1)
-        values = measured[some]
-        data = problem.data._replace(
+
+    def measured(starts: np.ndarray) -> Any:
+        values = every[starts]
+        return problem.data._replace(
             values=(values,), weights=(np.full(values.shape, 1 / SIGMA),), means=(values.mean(axis=2),)
         )
-        moves = np.ones(natural[some].shape, bool), np.ones(spectra[some].shape, bool)
-        steps = np.zeros(LANES, np.int32), np.full(LANES, 60, np.int32)
-        compiled = compiled or problem.programs.descent(data, LANES, True, False)
-        end = compiled(Lane(natural[some], spectra[some], *moves, *steps), data)
-        found.append(np.asarray(end.chi_square))
-    chi_square = np.concatenate(found)[: len(truths)]
+
+    chi_square = problem.descend(own, spectra, measured=measured).chi_square
     return np.where(np.isfinite(chi_square), chi_square, np.inf)
 
 

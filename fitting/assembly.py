@@ -15,7 +15,7 @@ from fitting import instrument
 from fitting.layout import Data, FormUse, Layout, Part, SpectralSlot
 from fitting.measurement import Measurement, check_light
 from fitting.parameters import Parameter, SpectralParameter
-from fitting.problem import Problem
+from fitting.problem import Problem, fraction_start
 from fitting.programs import programs_for
 from fitting.spectra import as_array
 from vcavity_jax.planning import interfaced_panel
@@ -98,7 +98,7 @@ def build(
     layout = Layout(
         parts,
         tuple(p.scale == "log" for p in named),
-        tuple(p.gaussian is not None and p.gaussian[2] for p in named),
+        tuple(p.prior_of_logarithm for p in named),
         tuple(forms),
         len(free_names),
         grid,
@@ -513,7 +513,6 @@ def _spectral_starts(layout: Layout, data: Data, owners: Sequence[tuple[_Use, in
             w = np.asarray(weights, np.float64) ** 2
             total[part.places] += (w * np.asarray(values, np.float64)).sum(axis=0)
             weight[part.places] += w.sum(axis=0)
-    measured = np.where(weight > 0, total / np.where(weight > 0, weight, 1.0), 0.5)
     rows = []
     for use, quantity in owners:
         parameter, part = use.parameter, layout.parts[use.members[0]]
@@ -534,8 +533,7 @@ def _spectral_starts(layout: Layout, data: Data, owners: Sequence[tuple[_Use, in
             fixed = others[kind, len(parameter.quantities)]
             three = [own, *(np.full(layout.blocks, value) for value in fixed)]
         else:
-            margin = 0.02 * (high - low)
-            three = [np.clip(measured, low + margin, high - margin)] * 3
+            three = [fraction_start(total, weight, low, high)] * 3
         rows.append([np.clip(start, low, high) for start in three])
     if not rows:
         return np.zeros((1, 0, layout.blocks))

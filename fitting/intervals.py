@@ -29,18 +29,18 @@ class Profile:
     Args:
         problem: what is fitted.
         slot: which number.
-        known: points evaluated so far. If this number alone is searched they are the profile; else starts for it.
+        table: of the search. If this number alone is searched it is the profile; else it has starts for it.
+        minima: that were found, points of the profile.
     """
 
-    def __init__(self, problem: Problem, slot: int, known: Evaluation) -> None:
+    def __init__(self, problem: Problem, slot: int, table: Evaluation, minima: Descent) -> None:
         self._problem, self._slot = problem, slot
-        self.points = known
-        self._known = known
         self._only_one = slot == 0 and len(problem.searched) == 1
-        if not self._only_one:
-            self.points = known.take(slice(0))
-            if problem.numbers[slot].searched:
-                self.cost(self._starting_values(known))
+        self._tabular = self._only_one and problem.tabular
+        self.points = table if self._only_one else table.take(slice(0))
+        if problem.numbers[slot].searched and not self._only_one:
+            self._add(self._minimized(self._starting_values(table), table))
+        self._add(problem.evaluation(minima, np.arange(len(problem.numbers)) == slot))
 
     def _starting_values(self, known: Evaluation) -> np.ndarray:
         values = np.unique(known.values[:, self._slot])
@@ -55,16 +55,12 @@ class Profile:
     def cost(self, values: np.ndarray) -> Float[np.ndarray, " n"]:
         """Profile chi-square at some values; the points are kept."""
         values = np.asarray(values, dtype=np.float64)
-        if self._only_one and self._problem.tabular:
-            found = self._problem.evaluate(values[:, None])
-        else:
-            found = self._minimized(values)
+        found = self._problem.evaluate(values[:, None]) if self._tabular else self._minimized(values, self.points)
         self._add(found)
         return found.chi_square
 
-    def _minimized(self, values: np.ndarray) -> Evaluation:
-        """Minimize over all other unknowns, from the best point known at the nearest value of this one."""
-        starts = self.points if len(self.points.chi_square) else self._known
+    def _minimized(self, values: np.ndarray, starts: Evaluation) -> Evaluation:
+        """Minimize over all other unknowns, from the best start at the nearest value of this one."""
         own = starts.values[:, self._slot]
         usable = np.isfinite(starts.chi_square)
         chosen = []
@@ -81,14 +77,9 @@ class Profile:
         )
         return self._problem.evaluation(at, ~movable[0])
 
-    def add_minima(self, minima: Descent) -> None:
-        """Put the minima that were found in."""
-        held = np.arange(len(self._problem.numbers)) == self._slot
-        self._add(self._problem.evaluation(minima, held))
-
     def settle(self, minimum: float) -> None:
         """Minimize to the end at the points that matter: the search stops short of that where much is unknown."""
-        if self._only_one and not self._problem.tabular:
+        if self._only_one and not self._tabular:
             near = self.points.chi_square - minimum < _MATTERS
             self.cost(self.values[near])
 
@@ -102,11 +93,7 @@ class Profile:
     def refine_around(self, place: float, left: float, right: float) -> None:
         """Add points beside a minimum, spaced by its standard errors on either side."""
         parameter = self._problem.numbers[self._slot]
-        shares = (
-            np.arange(1, 17) / 4
-            if self._only_one and self._problem.tabular
-            else np.array([0.35, 0.7, 1, 1.4, 1.8, 2.2, 2.7])
-        )
+        shares = np.arange(1, 17) / 4 if self._tabular else np.array([0.35, 0.7, 1, 1.4, 1.8, 2.2, 2.7])
         sides = [place - shares * left, place + shares * right]
         wanted = np.concatenate([side for side in sides if np.isfinite(side).all()] or [np.empty(0)])
         wanted = wanted[(wanted > parameter.lower) & (wanted < parameter.upper)]
@@ -131,7 +118,7 @@ class Profile:
         Returns:
             The pieces, ascending, and whether all their ends lie inside the allowed range.
         """
-        problem_points = CHUNK if self._only_one and self._problem.tabular else self._problem.lanes
+        problem_points = CHUNK if self._tabular else self._problem.lanes
 
         def inside(values: np.ndarray) -> np.ndarray:
             return self.cost(values) - minimum < threshold

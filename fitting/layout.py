@@ -5,7 +5,6 @@ Unknowns are P numbers, and Q spectra with a value at each of the U wavelengths 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -229,13 +228,14 @@ class Layout:
         scene, tilt = self.placed(part, numbers, rows, known), None
         if part.tilts:
             scene, tilt = instrument.tilted(scene, numbers[-2], numbers[-1])
-        angle, index = part.smallest
-        evaluate = partial(
-            vc.reflectance_factor, tolerance=self.tolerance, smallest_angle=angle, smallest_index=index
-        )
         # A hemispherical view has no axis of directions, a gray material none of wavelengths.
-        value = jnp.broadcast_to(jnp.reshape(evaluate(scene), (part.shape[0], -1)), part.shape)
+        value = jnp.broadcast_to(jnp.reshape(self.evaluated(part, scene), (part.shape[0], -1)), part.shape)
         return value if tilt is None else value * tilt
+
+    def evaluated(self, part: Part, scene: Any) -> Array:
+        """Reflectance factors of a measurement's scene, shaped as the model returns them."""
+        angle, index = part.smallest
+        return vc.reflectance_factor(scene, self.tolerance, smallest_angle=angle, smallest_index=index)
 
     def recorded(
         self, part: Part, factor: Float[Array, "d w"], natural: Float[Array, " p"], mean: Float[Array, " d"]

@@ -4,18 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
 from fitting import search
-from fitting.arrow import CONVERGED, OUT_OF_STEPS, Lane
+from fitting.arrow import CONVERGED, OUT_OF_STEPS
 from fitting.assembly import build
+from fitting.layout import Data
 from fitting.measurement import Measurement, same_light
-from fitting.problem import GRID_STEPS, INNER_STEPS, Descent, Problem
-
-LANES = 32
-"""Descents per call."""
+from fitting.problem import GRID_STEPS, INNER_STEPS, Descent, Problem, fraction_start
 
 _SPECTRA_AT_ONCE = 256
 _STEPS = 60
@@ -430,11 +427,8 @@ def _own_table(
 def _measured(problem: Problem, batch: _Batch, who: int) -> np.ndarray:
     """The mean measured spectrum, as a start of a fraction."""
     w2 = batch.weights[who] ** 2
-    total, weight = (w2 * batch.values[who]).sum(axis=0), w2.sum(axis=0)
-    mean = np.where(weight > 0, total / np.where(weight > 0, weight, 1.0), 0.5)
     low, high = np.asarray(problem.data.spectral_bounds, np.float64)[:, :, None]
-    margin = 0.02 * (high - low)
-    return np.clip(np.broadcast_to(mean, problem.starts.shape[1:]), low + margin, high - margin)
+    return fraction_start((w2 * batch.values[who]).sum(axis=0), w2.sum(axis=0), low, high)
 
 
 def _relaxed(
@@ -460,46 +454,10 @@ def _descend(
     outer: int,
 ) -> Descent:
     """Descents from many starts, each with the measured values of its own spectrum."""
-    count = len(owner)
-    data, dtype = problem.data, problem.data.center.dtype
-    shape = (LANES, *batch.values.shape[1:])
-    batched = data._replace(
-        values=(jnp.zeros(shape, dtype),), weights=(jnp.zeros(shape, dtype),), means=(jnp.zeros(shape[:2], dtype),)
-    )
-    compiled = problem.programs.descent(batched, LANES, True, False)
-    natural = problem.natural(values)
-    movable = np.ones(values.shape, dtype=bool) if movable is None else movable
-    # Narrow grooves need many steps, and a call waits for its slowest member.
-    order = np.argsort(natural[:, 0], kind="stable") if natural.shape[1] else np.arange(count)
-    ends = []
-    for first in range(0, max(count, 1), LANES):
-        chosen = order[np.minimum(np.arange(first, first + LANES), count - 1)] if count else np.zeros(LANES, int)
-        busy = np.arange(first, first + LANES) < count
-        if not count:
-            break
-        own = owner[chosen]
-        measured = data._replace(
-            values=(batch.values[own].astype(dtype),),
-            weights=(batch.weights[own].astype(dtype),),
-            means=(batch.means[own].astype(dtype),),
-        )
-        lane = Lane(
-            natural[chosen].astype(dtype),  # type: ignore[arg-type]
-            spectra[chosen].astype(dtype),  # type: ignore[arg-type]
-            movable[chosen],  # type: ignore[arg-type]
-            np.ones(spectra[chosen].shape, dtype=bool),  # type: ignore[arg-type]
-            (inner * busy).astype(np.int32),  # type: ignore[arg-type]
-            (outer * busy).astype(np.int32),  # type: ignore[arg-type]
-        )
-        ends.append([np.asarray(part) for part in compiled(lane, measured)[:-1]])
-    width = natural.shape[1] + problem.layout.free_spectra + 1
-    if not ends:
-        none = np.zeros(0)
-        matrix = np.zeros((0, problem.layout.blocks, width, width))
-        whole = none.astype(int)
-        return Descent(values, spectra, none, matrix, whole, whole, whole, ())
-    back = np.argsort(order, kind="stable")
-    columns: list[Any] = [np.concatenate(parts)[:count][back] for parts in zip(*ends, strict=True)]
-    columns = [c.astype(np.float64) if c.dtype.kind == "f" else c for c in columns]
-    ended = np.where(movable, problem.from_natural(columns[0]), values)
-    return Descent(*[ended, *columns[1:], ()])
+
+    def measured(starts: np.ndarray) -> Data:
+        own, kind = owner[starts], problem.data.center.dtype
+        values, weights, means = (part[own].astype(kind) for part in (batch.values, batch.weights, batch.means))
+        return problem.data._replace(values=(values,), weights=(weights,), means=(means,))
+
+    return problem.descend(values, spectra, movable, inner=inner, outer=outer, measured=measured)

@@ -111,8 +111,8 @@ class Parameter(_Spread):
         return self.start is None
 
     @property
-    def bends(self) -> bool:
-        """Whether chi-square is no parabola in the value even where the model is linear in it."""
+    def prior_of_logarithm(self) -> bool:
+        """Whether the prior is one of the logarithm: then chi-square is no parabola in the value."""
         return self.gaussian is not None and self.gaussian[2]
 
     @property

@@ -5,13 +5,13 @@ is unknown is minimized over at each point of the search (variable projection).
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 import vcavity_jax as vc
 from fitting.arrow import CONVERGED, End, Lane
@@ -23,6 +23,9 @@ from fitting.programs import CHUNK, Programs
 
 INNER_STEPS = 12
 """Steps of the spectra alone; a monotone one takes 3 to 6 from anywhere."""
+
+BATCH_LANES = 32
+"""Descents per call where each has measured values of its own."""
 
 GRID_STEPS = 8
 """Steps of everything else at a point of the search."""
@@ -135,7 +138,7 @@ class Problem:
     def tabular(self) -> bool:
         """Beside what is searched only gains and offsets are unknown, whose best values have a closed form."""
         others = self.numbers[len(self.searched) :]
-        exact = all(p.role in ("gain", "offset") and p.unbounded and not p.bends for p in others)
+        exact = all(p.role in ("gain", "offset") and p.unbounded and not p.prior_of_logarithm for p in others)
         return bool(self.searched) and exact and not self.layout.free_spectra
 
     @property
@@ -202,6 +205,7 @@ class Problem:
         spectra_movable: Bool[np.ndarray, "n q u"] | None = None,
         inner: int = 0,
         outer: int = 60,
+        measured: Callable[[Int[np.ndarray, " k"]], Data] | None = None,
     ) -> Descent:
         """Minimize chi-square from each start; see ``arrow.descend``.
 
@@ -212,9 +216,20 @@ class Problem:
             spectra_movable: which values of the spectra may; None for all.
             inner: most steps of the spectra alone.
             outer: most steps of all; with neither the model is only evaluated and differentiated.
+            measured: the data of some starts, given by their places, if each has measured values of its own; the
+                predictions, which would fill the memory, are then left out. None if all share those of the fit.
         """
-        count, lanes = len(values), self.lanes
-        compiled = self.programs.descent(self.data, lanes, False, self.tabular)
+        count = len(values)
+        if not count:
+            width = values.shape[1] + self.layout.free_spectra + 1
+            matrix, none = np.zeros((0, self.layout.blocks, width, width)), np.zeros(0, int)
+            return Descent(values, spectra, np.zeros(0), matrix, none, none, none, ())
+        if measured is None:
+            lanes = self.lanes
+            compiled = self.programs.descent(self.data, lanes, False, self.tabular)
+        else:
+            lanes = BATCH_LANES
+            compiled = self.programs.descent(measured(np.zeros(lanes, int)), lanes, True, False)
         dtype = self.data.center.dtype
         movable = np.ones(values.shape, dtype=bool) if movable is None else movable
         spectra_movable = np.ones(spectra.shape, dtype=bool) if spectra_movable is None else spectra_movable
@@ -226,19 +241,18 @@ class Problem:
             chosen = order[np.minimum(np.arange(first, first + lanes), count - 1)]
             # The last call is filled up with copies that stay where they are.
             busy = np.arange(first, first + lanes) < count
-            ends.append(
-                compiled(
-                    Lane(
-                        natural[chosen].astype(dtype),  # type: ignore[arg-type]
-                        spectra[chosen].astype(dtype),  # type: ignore[arg-type]
-                        movable[chosen],  # type: ignore[arg-type]
-                        spectra_movable[chosen],  # type: ignore[arg-type]
-                        (inner * busy).astype(np.int32),  # type: ignore[arg-type]
-                        (outer * busy).astype(np.int32),  # type: ignore[arg-type]
-                    ),
-                    self.data,
-                )
+            lane = Lane(
+                natural[chosen].astype(dtype),  # type: ignore[arg-type]
+                spectra[chosen].astype(dtype),  # type: ignore[arg-type]
+                movable[chosen],  # type: ignore[arg-type]
+                spectra_movable[chosen],  # type: ignore[arg-type]
+                (inner * busy).astype(np.int32),  # type: ignore[arg-type]
+                (outer * busy).astype(np.int32),  # type: ignore[arg-type]
             )
+            if measured is None:
+                ends.append(compiled(lane, self.data))
+            else:
+                ends.append(compiled(lane, measured(chosen))._replace(predicted=()))
         back = np.argsort(order, kind="stable")
 
         def gathered(parts: Sequence[Any]) -> np.ndarray:
@@ -431,6 +445,20 @@ class Problem:
             numbers = jnp.stack([*exact, *numbers[len(exact) :]]) if exact else numbers
             scenes.append(self.layout.placed(part, numbers, rows, known))
         return tuple(scenes)
+
+
+def fraction_start(total: np.ndarray, weight: np.ndarray, low: Any, high: Any) -> np.ndarray:
+    """The mean measured spectrum as the start of a free fraction: within its bounds, and not on them.
+
+    Args:
+        total: weighted sum of the measured values at each wavelength, shape (U,).
+        weight: sum of the weights, likewise; 0 where nothing is measured.
+        low: lower bounds, which broadcast against (U,).
+        high: upper bounds, likewise.
+    """
+    mean = np.where(weight > 0, total / np.where(weight > 0, weight, 1.0), 0.5)
+    margin = 0.02 * (high - low)
+    return np.asarray(np.clip(mean, low + margin, high - margin))
 
 
 def eliminate(

@@ -90,13 +90,7 @@ def profile_likelihood(
         raise ValueError(f"{name!r} is one number; expected no wavelength")
     slot = result.numbers.index(name)
     parameter, estimate = problem.numbers[slot], result.estimates[name]
-    known = (
-        result.found.table
-        if parameter.searched
-        else problem.evaluation(result.found.minima, np.arange(len(problem.numbers)) == slot)
-    )
-    profile = Profile(problem, slot, known)
-    profile.add_minima(result.found.minima)
+    profile = Profile(problem, slot, result.found.table, result.found.minima)
     low, high = _reach(estimate, (float(parameter.lower), float(parameter.upper)))
     # From the best value outwards: each point starts where its neighbor ended.
     for side in (

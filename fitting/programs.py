@@ -140,19 +140,12 @@ def programs_for(layout: Layout, data: Data) -> Programs:
 
 
 def _check_shapes(layout: Layout, data: Data) -> None:
-    import vcavity_jax as vc
-
     natural = jax.ShapeDtypeStruct(data.center.shape, data.center.dtype)
     spectra = jax.ShapeDtypeStruct((layout.free_spectra, layout.blocks), data.center.dtype)
     for part, known in zip(layout.parts, data.known, strict=True):
 
-        def evaluate(
-            natural: Array, spectra: Array, known: Any, part: Any = part, limits: Any = part.smallest
-        ) -> Array:
-            scene = layout.placed(part, *layout.inputs(part, natural, spectra), known)
-            return vc.reflectance_factor(
-                scene, layout.tolerance, smallest_angle=limits[0], smallest_index=limits[1]
-            )
+        def evaluate(natural: Array, spectra: Array, known: Any, part: Any = part) -> Array:
+            return layout.evaluated(part, layout.placed(part, *layout.inputs(part, natural, spectra), known))
 
         full = jax.eval_shape(evaluate, natural, spectra, known)
         found, wanted = full.shape[len(part.scene.view.shape) :], part.shape[1]

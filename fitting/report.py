@@ -123,8 +123,7 @@ def report(problem: Problem, found: Found, unknown: bool) -> FitResult:
             error = float(np.fmax(*beside.errors))
         kink = _kink_within_reach(problem, minima, i, 3 * error)
         left, right = beside.errors if kink is None else kink.errors
-        profile = Profile(problem, i, found.table)
-        profile.add_minima(minima)
+        profile = Profile(problem, i, found.table, minima)
         profile.settle(chi_square)
         for k in np.flatnonzero(minima.chi_square - chi_square < threshold):
             own = error if k == 0 else float(local_information(normal, int(k)).standard_errors[i])
@@ -158,10 +157,9 @@ def _beside(
     reached = quick.pieces[0][0] <= bounds[0] or quick.pieces[-1][1] >= bounds[1]
     # A neighbor that is held by its bound may come off it.
     held = any(best[i] in (p.lower, p.upper) for i, p in enumerate(problem.numbers) if not p.searched)
-    if not (reached or held or parameter.bends) or not np.isfinite(error):
+    if not (reached or held or parameter.prior_of_logarithm) or not np.isfinite(error):
         return quick
-    profile = Profile(problem, slot, problem.evaluation(minima, np.arange(len(problem.numbers)) == slot))
-    profile.add_minima(minima)
+    profile = Profile(problem, slot, along, minima)
     profile.reach_out(float(best[slot]), error, float(minima.chi_square[0]), threshold)
     pieces, _ = profile.region(float(minima.chi_square[0]), threshold)
     return Envelope(pieces, profile.values, profile.points.chi_square)

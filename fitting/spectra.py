@@ -3,6 +3,7 @@
 A coefficient of a formula is given as a range (low, high), then it is free, or as a number, then it is held.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -13,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fitting.priors import Normal, Number
+from vcavity_jax import dispersion
 
 _KEPT_VARIANCE = 1e-6
 _REFERENCE_POINTS = 240
@@ -116,19 +118,26 @@ class Smooth:
         return jax.nn.sigmoid(modes @ values)[None]
 
 
-class _Formula:
+class _Formula(ABC):
     """A dispersion formula: coefficients in the order of ``_named``, ranges or numbers."""
+
+    @property
+    @abstractmethod
+    def quantities(self) -> tuple[str, ...]:
+        """Names of the index's real parts."""
 
     @property
     def listed(self) -> bool:
         """The coefficients are physical."""
         return True
 
+    @abstractmethod
     def _named(self) -> list[tuple[str, Range]]:
-        raise NotImplementedError
+        """Every coefficient with its name."""
 
+    @abstractmethod
     def _index(self, wavelengths_nm: Array, values: Array) -> Array:
-        raise NotImplementedError
+        """The index for all coefficients."""
 
     def _check(self) -> None:
         for name, given in self._named():
@@ -157,7 +166,7 @@ class _Formula:
         from scipy.optimize import least_squares  # type: ignore[import-untyped]
 
         span = float(wavelengths_nm[0]), float(wavelengths_nm[-1])
-        target = np.stack([own.real, own.imag])[: len(self.quantities)]  # type: ignore[attr-defined]
+        target = np.stack([own.real, own.imag])[: len(self.quantities)]
 
         def misfit(share: Array) -> Array:
             return (self.spectrum(wavelengths_nm, span, low + (high - low) * share) - target).ravel()
@@ -189,7 +198,7 @@ class _Formula:
             for _, given in self._named()
         ]
         index = self._index(jnp.asarray(wavelengths_nm, values.dtype), jnp.stack(whole))
-        if len(self.quantities) == 1:  # type: ignore[attr-defined]
+        if len(self.quantities) == 1:
             return index[None]
         return jnp.stack([index.real, index.imag])
 
@@ -223,8 +232,6 @@ class Cauchy(_Formula):
         return [("a", self.a), ("b_um2", self.b_um2), ("c_um4", self.c_um4)]
 
     def _index(self, wavelengths_nm: Array, values: Array) -> Array:
-        from vcavity_jax import dispersion
-
         return dispersion.cauchy(wavelengths_nm, *values)
 
 
@@ -260,8 +267,6 @@ class Sellmeier(_Formula):
         return [entry for i, (b, c) in pairs for entry in ((f"b{i}", b), (f"c{i}_um2", c))]
 
     def _index(self, wavelengths_nm: Array, values: Array) -> Array:
-        from vcavity_jax import dispersion
-
         return dispersion.sellmeier(wavelengths_nm, values[0::2], values[1::2])
 
 
@@ -305,8 +310,6 @@ class DrudeLorentz(_Formula):
         return named
 
     def _index(self, wavelengths_nm: Array, values: Array) -> Array:
-        from vcavity_jax import dispersion
-
         bound = values[3:].reshape(-1, 3)
         infinity, plasma, damping = values[0], values[1], values[2]
         return dispersion.drude_lorentz(
