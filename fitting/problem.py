@@ -301,10 +301,20 @@ class Problem:
             steps: most steps of all else.
         """
         points = np.asarray(searched, dtype=np.float64)
+        if self.tabular:
+            values = np.repeat(self.start_values[None], len(points), axis=0)
+            values[:, : points.shape[1]] = points
+            return self._from_table(values)
+        held = np.arange(len(self.numbers)) < points.shape[1]
+        return self.evaluation(self.relaxed(points, near, steps), held)
+
+    def relaxed(
+        self, searched: Float[np.ndarray, "n s"], near: Evaluation | None = None, steps: int = GRID_STEPS
+    ) -> Descent:
+        """Where all else comes to rest at values of what is searched; see ``evaluate``."""
+        points = np.asarray(searched, dtype=np.float64)
         values = np.repeat(self.start_values[None], len(points), axis=0)
         values[:, : points.shape[1]] = points
-        if self.tabular:
-            return self._from_table(values)
         held = np.arange(len(self.numbers)) < points.shape[1]
         spectra = np.repeat(self.starts[None, 0], len(points), axis=0)
         if near is not None:
@@ -315,7 +325,7 @@ class Problem:
         for other in self.starts[1:] if near is None else ():
             again = self._relaxed(values, np.repeat(other[None], len(points), axis=0), held, steps)
             best = self._better(best, again, held, steps)
-        return self.evaluation(best, held)
+        return best
 
     def _nearest(self, values: np.ndarray, near: Evaluation, held: np.ndarray) -> np.ndarray:
         own, there = self.natural(values)[:, held], self.natural(near.values)[:, held]
