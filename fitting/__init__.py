@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from fitting.measurement import read_spectrum as read_spectrum
     from fitting.parameters import Parameter as Parameter
     from fitting.parameters import SpectralParameter as SpectralParameter
+    from fitting.posterior import Posterior as Posterior
     from fitting.profile import ProfileLikelihood as ProfileLikelihood
     from fitting.profile import profile_likelihood as profile_likelihood
     from fitting.recovery import Recovery as Recovery
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from fitting.result import SpectralEstimate as SpectralEstimate
     from fitting.rival import Rival as Rival
     from fitting.rival import refit_with_rival as refit_with_rival
+    from fitting.sampling import sample_posterior as sample_posterior
     from fitting.solve import fit as fit
 
 _HOMES = {
@@ -35,6 +37,7 @@ _HOMES = {
     "Measurement": "fitting.measurement",
     "Minimum": "fitting.result",
     "Parameter": "fitting.parameters",
+    "Posterior": "fitting.posterior",
     "ProfileLikelihood": "fitting.profile",
     "Recovery": "fitting.recovery",
     "Rival": "fitting.rival",
@@ -46,6 +49,7 @@ _HOMES = {
     "read_spectrum": "fitting.measurement",
     "recover_reflectance": "fitting.recovery",
     "refit_with_rival": "fitting.rival",
+    "sample_posterior": "fitting.sampling",
 }
 _MODULES = ("free", "priors", "spectra")
 
@@ -56,6 +60,7 @@ __all__ = [
     "Measurement",
     "Minimum",
     "Parameter",
+    "Posterior",
     "ProfileLikelihood",
     "Recovery",
     "Rival",
@@ -69,6 +74,7 @@ __all__ = [
     "read_spectrum",
     "recover_reflectance",
     "refit_with_rival",
+    "sample_posterior",
     "spectra",
 ]
 

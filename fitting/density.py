@@ -307,7 +307,7 @@ class Density:
         return np.stack([p.from_natural(natural[:, i]) for i, p in enumerate(self.numbers)], axis=1)
 
     def free(self, natural: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "n p"]:
-        """Coordinates without bounds: the logit of the share of the range, or the log of the distance to a bound."""
+        """Coordinates without bounds: logit of the share of the range, or logarithm of the distance to a bound."""
         low, high = self.bounds
         columns = []
         for x, a, b in zip(natural.T, low, high, strict=True):
@@ -376,7 +376,11 @@ class Density:
         """Evaluate a compiled function in batches of one size, the last one filled up with copies."""
         count, dtype = len(arguments[0]), self.setting.data.center.dtype
         if what not in self.programs:
-            function = {"density": self.kind.log_density, "draw": self.kind.draw, "predicted": self.kind.predicted}
+            function: dict[str, Any] = {
+                "density": self.kind.log_density,
+                "draw": self.kind.draw,
+                "predicted": self.kind.predicted,
+            }
             axes = (*[0] * len(arguments), None)
             self.programs[what] = jax.jit(jax.vmap(function[what], in_axes=axes))
         compiled = self.programs[what]
@@ -394,7 +398,7 @@ class Density:
 
     @property
     def log_constant(self) -> float | None:
-        """What makes the density the likelihood times normalized priors; None if a prior cannot be normalized."""
+        """What makes it the likelihood times normalized priors; None if a prior cannot be normalized."""
         total = 0.0
         for weights in self.setting.data.weights:
             w = np.asarray(weights, np.float64)
@@ -488,7 +492,4 @@ def with_priors(problem: Problem, priors: dict[str, Any]) -> Problem:
         ).reshape(2, len(numbers)),
     )
     layout = replace(problem.layout, prior_of_logarithm=tuple(p.prior_of_logarithm for p in numbers))
-    return replace(
-        problem, numbers=tuple(numbers), layout=layout, data=data, programs=programs_for(layout, data)
-    )
-
+    return replace(problem, numbers=tuple(numbers), layout=layout, data=data, programs=programs_for(layout, data))

@@ -23,9 +23,7 @@ def importance_draws(result: FitResult, density: Density, count: int, generator:
     free, _ = student_draws(centers[chosen], roots[chosen], generator)
     log_proposal = mixture_log_density(free, centers, roots, shares)
     found, jacobian = density.log_free(free), density.log_jacobian(free)
-    return resampled(
-        density.from_free(free), found - jacobian, found - log_proposal, count, generator, total
-    )
+    return resampled(density.from_free(free), found - jacobian, found - log_proposal, count, generator, total)
 
 
 def modes(result: FitResult, density: Density) -> tuple[np.ndarray, np.ndarray]:
@@ -60,8 +58,8 @@ def modes(result: FitResult, density: Density) -> tuple[np.ndarray, np.ndarray]:
     good = np.isfinite(scale).all(axis=1)
     if not good.any():
         raise ValueError(
-            "the fit does not determine its parameters, so that there is nothing to draw with; expected a prior, a "
-            "parameter less, or more to measure"
+            "the fit does not determine its parameters, so that there is nothing to draw with; expected a prior, "
+            "a parameter less, or more to measure"
         )
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / (errors[:, :, None] * errors[:, None, :])

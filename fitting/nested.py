@@ -93,7 +93,7 @@ class _Grid:
         return float(logsumexp(self.masses))
 
     def draw(self, count: int, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Stratified draws: the left neighbor of each, the share of the way to the right one, and log densities."""
+        """Stratified draws: left neighbors, shares of the way to the right ones, and log densities."""
         masses = np.exp(self.masses - self.log_integral)
         rising = np.append(0.0, np.cumsum(masses))
         uniform = (np.arange(count) + generator.random(count)) / count * rising[-1]

@@ -300,8 +300,7 @@ class FitResult:
         Raises:
             OSError: the file cannot be written.
         """
-        text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
-        files.write(path, text + "\n")
+        files.write(path, to_text(self.to_dict()) + "\n")
 
     def plot(self, path: str | PathLike[str]) -> None:
         """Draw the fit and its profiles to a picture file.
@@ -313,6 +312,11 @@ class FitResult:
         from fitting.plots import plot_fit
 
         plot_fit(self, path)
+
+
+def to_text(content: dict[str, Any]) -> str:
+    """Strict JSON, to be read by people too."""
+    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
 
 
 def _spectral_row(name: str, estimate: SpectralEstimate) -> tuple[str, ...]:

@@ -15,6 +15,9 @@ from fitting.readers.geometry import GEOMETRIES
 ILLUMINANTS = ("A", "C", "D50", "D55", "D65", "D75", "E", "FL2", "FL7", "FL11")
 TOLERANCE = 1e-8
 
+# As in `fitting.sampling`, which a test compares.
+SAMPLERS = ("auto", "nested", "emcee", "importance")
+
 _DESCRIPTION = """\
 Appearance of V-grooved surfaces: from a measured spectrum to the groove's angle or the roughness, and back.
 Angles are in degrees, wavelengths in nanometers, reflectance factors are fractions."""
@@ -174,6 +177,19 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
         choices=words.UNITS,
         help="unit of a MEASUREMENT that does not declare it",
     )
+    sampled = fit.add_argument_group("the posterior")
+    sampled.add_argument(
+        "--posterior",
+        action="store_true",
+        help="sample it too: write corner.png, predictive.png and posterior.nc, and its intervals into fit.json",
+    )
+    sampled.add_argument(
+        "--sampler",
+        choices=SAMPLERS,
+        help="nested grid where it applies (default), emcee (which also keeps chain.h5, and resumes, and trace.png), "
+        "or importance sampling",
+    )
+    sampled.add_argument("--seed", type=words.count, metavar="N", help="of the random numbers (default: 1)")
     output = fit.add_argument_group("output")
     output.add_argument(
         "--output",

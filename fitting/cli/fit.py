@@ -4,9 +4,11 @@ import argparse
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
-from fitting import fit
+from fitting import FitResult, files, fit, sample_posterior
 from fitting.cli import arguments, messages, request
+from fitting.result import to_text
 
 
 def run(given: argparse.Namespace) -> int:
@@ -18,6 +20,8 @@ def run(given: argparse.Namespace) -> int:
 
         _refuse_beside_config(given)
         asked = config.read(given.config, given.measurement)
+    if not given.posterior and (given.sampler or given.seed):
+        raise ValueError(f"--{'sampler' if given.sampler else 'seed'} has no effect: expected --posterior with it")
     folder = asked.folder if given.output is None else Path(given.output)
     _require_writable(folder)
     tolerance = {} if given.tolerance is None else {"tolerance": given.tolerance}
@@ -29,13 +33,19 @@ def run(given: argparse.Namespace) -> int:
         raise ValueError(asked.explained(str(error))) from None
 
     folder.mkdir(parents=True, exist_ok=True)
-    written = folder / "fit.json", folder / "fit.png"
+    written = [folder / "fit.json", folder / "fit.png"]
     result.to_json(written[0])
     result.plot(written[1])
+    posterior = None
+    if given.posterior:
+        posterior = _sampled(result, given, folder, written)
+        files.write(written[0], to_text(result.to_dict() | {"posterior": posterior.to_dict()}) + "\n")
     if given.json:
         print(written[0].read_text(encoding="utf-8").rstrip("\n"))
     else:
         print(result.summary())
+        if posterior is not None:
+            print("", posterior.summary(), sep="\n")
         print(*(f"wrote {path}" for path in written), sep="\n")
     trusted = result.status == "converged" and result.identifiable
     if not trusted or result.describes_data is False:
@@ -44,14 +54,30 @@ def run(given: argparse.Namespace) -> int:
     return 0 if trusted else 1
 
 
+def _sampled(result: FitResult, given: argparse.Namespace, folder: Path, written: list[Path]) -> Any:
+    """Sample the posterior and write its pictures and draws."""
+    chain = folder / "chain.h5" if given.sampler == "emcee" else None
+    posterior = sample_posterior(
+        result, given.sampler, chain=chain, seed=given.seed or 1, progress=sys.stderr.isatty()
+    )
+    drawn = {"corner.png": posterior.corner, "predictive.png": posterior.predictive}
+    if chain is not None:
+        drawn["trace.png"] = posterior.trace
+        written.append(chain)
+    for name, draw in (drawn | {"posterior.nc": posterior.to_netcdf}).items():
+        draw(folder / name)
+        written.append(folder / name)
+    return posterior
+
+
 def _refuse_beside_config(given: argparse.Namespace) -> None:
     """Refuse the options that a config file stands for."""
-    allowed = {"command", "config", "measurement", "output", "json", "tolerance"}
+    allowed = {"command", "config", "measurement", "output", "json", "tolerance", "posterior", "sampler", "seed"}
     for name, value in vars(given).items():
         if name not in allowed and value is not None and value is not False and value != []:
             raise ValueError(
                 f"--{name.replace('_', '-')} beside --config {given.config}: expected it in the file; only "
-                "--output, --json and --tolerance may stand beside --config"
+                "--output, --json, --tolerance and --posterior with its options may stand beside --config"
             )
 
 
