@@ -82,7 +82,9 @@ class Expected:
         normal = self.problem.normal_of(self.values, matrix)
         width, spectral_width = self.widths
         count = len(self.problem.numbers)
-        numbers = np.sqrt(_determined_variance(normal, np.broadcast_to(np.eye(count), (len(matrix), count, count))))
+        numbers = np.sqrt(
+            _determined_variance(normal, np.broadcast_to(np.eye(count), (len(matrix), count, count)))
+        )
         limits = np.array([_half_range(p) for p in self.problem.numbers])
         numbers = np.where(numbers / self.problem.units(self.values) > limits, np.inf, numbers)
         if not self.problem.layout.free_spectra:
@@ -92,6 +94,31 @@ class Expected:
         own = np.diagonal(normal.alone, axis1=2, axis2=3)
         spectra = np.sqrt(np.where(normal.determined[..., None], own + shared, np.inf)).transpose(0, 2, 1)
         return numbers, np.where(spectra > spectral_width[:, None] / 2, np.inf, spectra)
+
+    def form_errors(self, matrix: Float[np.ndarray, "k b m m"]) -> dict[str, np.ndarray]:
+        """Standard errors of the spectra that have a form, by name, shape (K, U) each; likewise infinite."""
+        layout, found = self.problem.layout, dict[str, np.ndarray]()
+        normal = self.problem.normal_of(self.values, matrix)
+        span = float(layout.wavelengths_nm[0]), float(layout.wavelengths_nm[-1])
+        formed = [p for p in self.problem.spectral if p.form is not None]
+        for parameter, use in zip(formed, layout.forms, strict=True):
+            numbers = list(use.numbers)
+
+            def spectrum(values: Any, form: Any = use.form) -> Any:
+                return form.spectrum(layout.wavelengths_nm, span, values)
+
+            count = len(parameter.quantities) * len(layout.wavelengths_nm)
+            rows = np.zeros((len(matrix), count, self.values.shape[1]))
+            slope = jax.jacfwd(spectrum)
+            for k, values in enumerate(self.values[:, numbers]):
+                rows[k][:, numbers] = np.asarray(slope(jnp.asarray(values))).reshape(count, -1)
+            errors = np.sqrt(_determined_variance(normal, rows)).reshape(
+                len(matrix), len(parameter.quantities), -1
+            )
+            suffix = parameter.name[parameter.name.index("[") :] if "[" in parameter.name else ""
+            for row, quantity in enumerate(parameter.quantities):
+                found[quantity + suffix] = errors[:, row]
+        return found
 
     def key(self, sets: Int[np.ndarray, "n s"], goal: Goal) -> Float[np.ndarray, "n 2"]:
         """What orders sets of candidates: first how much is not identifiable, then the criterion; least is best.
@@ -122,7 +149,7 @@ class Expected:
             matters = lost[:, goal.numbers].sum(axis=1) + lost_spectra[:, goal.spectra].sum(axis=1)
             found.append((deficit + 1000 * matters, one.criterion(matrix, goal)))
         deficits, criteria = (np.stack(column) for column in zip(*found, strict=True))
-        return np.stack([deficits.sum(axis=0), _over_values(criteria, goal)], axis=1)
+        return np.stack([deficits.sum(axis=0), over_values(criteria, goal)], axis=1)
 
     def criterion(self, matrix: Float[np.ndarray, "k b m m"], goal: Goal) -> Float[np.ndarray, " k"]:
         """Logarithm of the regularized criterion."""
@@ -208,7 +235,9 @@ def expect(
     bad = ~np.isfinite(whole).all(axis=(0, 2, 3, 4))
     if bad.any():
         part, row = candidates[int(np.argmax(bad))]
-        polar, azimuth = (np.degrees(a[row]) for a in (problem.measurements[part].polar, problem.measurements[part].azimuth))
+        polar, azimuth = (
+            np.degrees(a[row]) for a in (problem.measurements[part].polar, problem.measurements[part].azimuth)
+        )
         raise ValueError(
             f"candidates: the model has no slope at polar {polar:g}, azimuth {azimuth:g} degrees; expected directions "
             "and parameters at which it is smooth"
@@ -258,7 +287,7 @@ def _determined_variance(normal: Normal, rows: Float[np.ndarray, "n f p"]) -> Fl
     return np.where(lost, np.inf, variance)
 
 
-def _over_values(logarithms: Float[np.ndarray, "k n"], goal: Goal) -> Float[np.ndarray, " n"]:
+def over_values(logarithms: Float[np.ndarray, "k n"], goal: Goal) -> Float[np.ndarray, " n"]:
     """The worst of several criteria, or the logarithm of their mean (for "D" the mean logarithm)."""
     if not goal.mean:
         return np.asarray(logarithms.max(axis=0))
