@@ -52,8 +52,8 @@ def exhaustive(order: Order, offered: Sequence[int], count: int) -> list[int]:
     total = math.comb(len(offered), count)
     if total > MOST_SETS:
         raise ValueError(
-            f"method is 'exhaustive' for {total} sets of {count} out of {len(offered)} candidates; expected at most "
-            f"{MOST_SETS}: use 'exchange'"
+            f"method is 'exhaustive' for {total} sets of {count} out of {len(offered)} candidates; expected at "
+            f"most {MOST_SETS}: use 'exchange'"
         )
     sets = np.array(list(itertools.combinations(offered, count)))
     return [int(c) for c in sets[best(order(sets))]]

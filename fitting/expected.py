@@ -80,7 +80,7 @@ class Expected:
             Of the numbers, in the scene's units, shape (K, P), and of the spectra, shape (K, Q, U).
         """
         normal = self.problem.normal_of(self.values, matrix)
-        width, spectral_width = self.widths
+        _, spectral_width = self.widths
         count = len(self.problem.numbers)
         numbers = np.sqrt(
             _determined_variance(normal, np.broadcast_to(np.eye(count), (len(matrix), count, count)))
@@ -239,8 +239,8 @@ def expect(
             np.degrees(a[row]) for a in (problem.measurements[part].polar, problem.measurements[part].azimuth)
         )
         raise ValueError(
-            f"candidates: the model has no slope at polar {polar:g}, azimuth {azimuth:g} degrees; expected directions "
-            "and parameters at which it is smooth"
+            f"candidates: the model has no slope at polar {polar:g}, azimuth {azimuth:g} degrees; expected "
+            "directions and parameters at which it is smooth"
         )
     return Expected(problem, values, np.stack(measured), whole)
 

@@ -1,12 +1,13 @@
 """Which views to measure next: those whose expected information makes the errors least.
 
-Views that make a parameter identifiable come first; among equals the least A- or D-criterion decides, for the worst
-of several values of what is searched, because the best views move with it.
+Views that make a parameter identifiable come first; among equals the least A- or D-criterion decides, for the
+worst of several values of what is searched, because the best views move with it.
 """
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -14,30 +15,18 @@ import numpy as np
 import vcavity_jax as vc
 from fitting import exchange
 from fitting.assembly import build
+from fitting.candidates import Group, already_measured, groups_of, listed, planned_noise, planned_wavelengths
+from fitting.design_points import across, expected_spectra, expected_values, half_widths
 from fitting.expected import Expected, Goal, expect, over_values
 from fitting.measurement import Measurement
 from fitting.problem import Problem
 from fitting.result import FitResult
 from fitting.solve import warn_of_float32
-from fitting.spectra import as_array
 from fitting.view_plan import PlannedView, ViewPlan
 
 CRITERIA = ("A", "D")
 METHODS = ("exchange", "greedy", "exhaustive")
 _PLACEHOLDER = 0.5
-_SHARE = 0.01
-"""Half-width of what a plan allows for without a fit, as a share of the allowed range."""
-
-_STEPS = (0.0, -1.0, -0.5, 0.5, 1.0)
-
-
-class _Group(NamedTuple):
-    """Candidates in one light: (light, view), as arrays of polar angles and azimuths; NaN if all light counts."""
-
-    light: Any
-    polar: np.ndarray
-    azimuth: np.ndarray
-    hemispherical: bool
 
 
 def plan_views(
@@ -58,9 +47,9 @@ def plan_views(
 ) -> ViewPlan:
     """Choose the views to measure next.
 
-    The Fisher information of a view is JᵀJ/σ², with the slopes J of the model at the scene's own parameters; that
-    of several views, of what is measured already and of the priors adds up. Its inverse, with every nuisance and
-    every spectrum in it, bounds the covariance of the estimates (Cramér-Rao). Sets of views are compared first by
+    The Fisher information of a view is JᵀJ/σ², with the slopes J of the model at the scene's own parameters;
+    that of several views, of what is measured already and of the priors adds up. Its inverse, with every nuisance
+    and every spectrum in it, bounds the covariance of the estimates (Cramér-Rao). Sets of views are compared first by
     what is not identifiable, then by the criterion:
 
     - "A": the sum of the variances of what is of interest, each relative to the width of its allowed range;
@@ -70,8 +59,8 @@ def plan_views(
     each unknown one more prior, normal and as wide as its allowed range.
 
     Args:
-        scene: what is expected, with all values: the plan holds near them. Or a ``FitResult``, which stands for its
-            scene, its free parameters, what it fitted (as ``measured``) and its uncertainty.
+        scene: what is expected, with all values: the plan holds near them. Or a ``FitResult``, which stands for
+            its scene, its free parameters, what it fitted (as ``measured``) and its uncertainty.
         free: as for ``fit``; None for those of a ``FitResult``.
         candidates: directions, as a ``View`` or (polar, azimuth), radians, which broadcast; or several lights, a
             dictionary of names and (illumination, directions), where the directions may be a ``Hemisphere``. Each
@@ -86,8 +75,8 @@ def plan_views(
             views until no swap is better; "exhaustive" tries all sets, if they are not more than 100 000.
         wavelengths_nm: of the planned views, nm, shape (L,); None for those of what is measured. Without either
             the spectra are plain lists, as long as the scene's.
-        interest: names of what matters; None for the numbers whose whole range is searched (angle, roughness, ...),
-            or else all that is free in the scene.
+        interest: names of what matters; None for the numbers whose whole range is searched (angle, roughness,
+            ...), or else all that is free in the scene.
         spread: half-width within which what is searched may differ from the scene's value, in its own unit
             (radians), by name if several are searched. None for two standard errors of a ``FitResult``, or 1 % of
             the allowed range. The plan holds for five values across it.
@@ -116,23 +105,23 @@ def plan_views(
     else:
         if not isinstance(scene, vc.Scene):
             raise ValueError(f"scene is a {type(scene).__name__}; expected a Scene or a FitResult")
-        known, scenes = _measured(measured, scene), {}
-    groups = _groups(candidates, scene)
+        known, scenes = already_measured(measured, scene), {}
+    groups = groups_of(candidates, scene)
     total = sum(len(g.polar) for g in groups.values())
     if isinstance(count, bool) or not isinstance(count, int | np.integer) or not 1 <= count <= total:
         raise ValueError(
             f"count is {count!r}; expected a whole number from 1 to {total}, the number of candidates"
         )
-    grid, numbered = _wavelengths(wavelengths_nm, known, scene, noise)
-    sigma = _noise(noise, known, len(grid))
+    grid, numbered = planned_wavelengths(wavelengths_nm, known, scene, noise)
+    sigma = planned_noise(noise, known, len(grid))
     problem, owners = _problem(scene, scenes, free, groups, known, grid, sigma, tolerance)
     if numbered and (
         problem.layout.forms or any(r == "wavelength_shift" for p in problem.layout.parts for r, _ in p.roles)
     ):
         raise ValueError("wavelengths_nm is None, and a free parameter depends on the wavelengths; expected them")
-    at = _values(problem, result)
-    widths = _spread(problem, spread, result)
-    expected = expect(problem, _across(problem, at, widths), _spectra(problem), owners)
+    at = expected_values(problem, result)
+    widths = half_widths(problem, spread, result, at)
+    expected = expect(problem, across(problem, at, widths), expected_spectra(problem), owners)
     goal = Goal(*_interest(problem, interest), criterion, over_spread == "mean")
     chosen = _chosen(expected, goal, method, len(owners), int(count))
     labels = list(groups)
@@ -160,125 +149,11 @@ def _check_choices(criterion: Any, method: Any, over_spread: Any) -> None:
             raise ValueError(f"{name} is {value!r}; expected one of {', '.join(allowed)}")
 
 
-def _directions(given: Any, what: str) -> tuple[np.ndarray, np.ndarray]:
-    """Polar angles and azimuths, one axis each."""
-    if isinstance(given, vc.View):
-        pair: Any = given.polar, given.azimuth
-    elif isinstance(given, tuple | list) and len(given) == 2:
-        pair = given
-    else:
-        raise ValueError(
-            f"{what}: {type(given).__name__}; expected a View, or polar angles and azimuths, (polar, azimuth)"
-        )
-    try:
-        polar, azimuth = (
-            np.array(a).ravel() for a in np.broadcast_arrays(*(np.asarray(a, np.float64) for a in pair))
-        )
-    except (ValueError, TypeError):
-        raise ValueError(
-            f"{what}: polar and azimuth do not broadcast; expected numbers of matching shapes"
-        ) from None
-    if not polar.size:
-        raise ValueError(f"{what}: no direction; expected at least one")
-    for name, angles in (("polar", polar), ("azimuth", azimuth)):
-        limit, words = (np.pi / 2, "between -π/2 and π/2") if name == "polar" else (2 * np.pi + 1e-9, "-2π to 2π")
-        bad = ~(np.abs(angles) < limit)
-        if bad.any():
-            raise ValueError(
-                f"{what}: {name}[{int(np.argmax(bad))}] is {angles[bad][0]:g}; expected {words} radians: did you pass degrees?"
-            )
-    return polar, azimuth
-
-
-def _groups(candidates: Any, scene: Any) -> dict[str, _Group]:
-    """The candidates by the name of their light."""
-    if not isinstance(candidates, Mapping):
-        polar, azimuth = _directions(candidates, "candidates")
-        return {type(scene.illumination).__name__.lower(): _Group(scene.illumination, polar, azimuth, False)}
-    found = {}
-    for name, pair in candidates.items():
-        if not (isinstance(pair, tuple | list) and len(pair) == 2):
-            raise ValueError(
-                f"candidates[{name!r}] is a {type(pair).__name__}; expected (illumination, directions)"
-            )
-        light, view = pair
-        if isinstance(view, vc.Hemisphere):
-            nowhere = np.full(1, np.nan)
-            found[str(name)] = _Group(light, nowhere, nowhere, True)
-        else:
-            found[str(name)] = _Group(light, *_directions(view, f"candidates[{name!r}]"), False)
-        if not isinstance(light, vc.scene.Illumination):
-            raise ValueError(
-                f"candidates[{name!r}]: {type(light).__name__} is not a light; expected (illumination, directions)"
-            )
-    if not found:
-        raise ValueError("candidates is empty; expected at least one light with its directions")
-    return found
-
-
-def _measured(measured: Any, scene: Any) -> dict[str, Any]:
-    """What is measured already, by label."""
-    if measured is None:
-        return {}
-    if isinstance(measured, Measurement):
-        return {"measured": measured}
-    if isinstance(measured, Mapping):
-        found = {str(k): v for k, v in measured.items()}
-    elif isinstance(measured, Sequence) and all(isinstance(m, Measurement) for m in measured):
-        found = {str(i): m for i, m in enumerate(measured)}
-    else:
-        return {"measured": _Group(scene.illumination, *_directions(measured, "measured"), False)}
-    wrong = next((m for m in found.values() if not isinstance(m, Measurement)), None)
-    if wrong is not None:
-        raise ValueError(
-            f"measured holds a {type(wrong).__name__}; expected a Measurement, several, or directions"
-        )
-    return found
-
-
-def _wavelengths(given: Any, known: dict[str, Any], scene: Any, noise: Any) -> tuple[np.ndarray, bool]:
-    """Wavelengths of the planned views, and whether they are only numbers of places."""
-    if given is not None:
-        return np.atleast_1d(np.asarray(given, np.float64)), False
-    for m in known.values():
-        if isinstance(m, Measurement):
-            return m.wavelengths_nm, False
-    shapes = [np.shape(leaf) for leaf in [*jax.tree.leaves(scene.material), *([] if noise is None else [noise])]]
-    length = max((shape[0] for shape in shapes if len(shape) == 1), default=1)
-    return np.arange(1.0, length + 1.0), True
-
-
-def _noise(noise: Any, known: dict[str, Any], length: int) -> np.ndarray:
-    """Standard uncertainty of a planned value at each wavelength."""
-    if noise is None:
-        stated = [m for m in known.values() if isinstance(m, Measurement) and m.standard_uncertainty is not None]
-        if not stated:
-            raise ValueError(
-                "noise is None, and no measurement states its uncertainty; expected a number, as 0.005"
-            )
-        m = stated[0]
-        valid = np.where(np.isnan(m.reflectance_factor), np.nan, m.standard_uncertainty)
-        noise = (
-            np.sqrt(np.nanmean(valid**2, axis=0)) if valid.shape[1] == length else np.sqrt(np.nanmean(valid**2))
-        )
-    sigma = np.asarray(noise, np.float64)
-    if sigma.shape not in ((), (length,)):
-        raise ValueError(
-            f"noise has shape {sigma.shape}; expected one number, or one for each of {length} wavelengths"
-        )
-    bad = ~((sigma > 0) & np.isfinite(sigma))
-    if bad.any():
-        raise ValueError(
-            f"noise is {sigma[bad].flat[0] if sigma.ndim else float(sigma):g}; expected positive numbers, as fractions"
-        )
-    return np.broadcast_to(sigma, (length,))
-
-
 def _problem(
     scene: Any,
     scenes: dict[str, Any],
     free: Any,
-    groups: dict[str, _Group],
+    groups: dict[str, Group],
     known: dict[str, Any],
     grid: np.ndarray,
     sigma: np.ndarray,
@@ -293,7 +168,7 @@ def _problem(
     for label, one in [*known.items(), *groups.items()]:
         if label in measurements:
             raise ValueError(f"{label!r} names a measurement and a light; expected distinct names")
-        if isinstance(one, _Group):
+        if isinstance(one, Group):
             shape = len(one.polar), len(grid)
             one = Measurement(
                 grid,
@@ -309,9 +184,9 @@ def _problem(
                 raise ValueError(
                     f"measured {label!r} states no uncertainty; expected one, or the planned wavelengths"
                 )
-            from dataclasses import replace
-
-            one = replace(one, standard_uncertainty=np.broadcast_to(sigma, one.reflectance_factor.shape))
+            one = dataclasses.replace(
+                one, standard_uncertainty=np.broadcast_to(sigma, one.reflectance_factor.shape)
+            )
         measurements[label] = one
     seen = {}
     for label, m in measurements.items():
@@ -326,80 +201,6 @@ def _problem(
         (label,) = measurements
         return build(seen[label], measurements[label], free, None, tolerance, enough=False), owners
     return build(seen, measurements, free, None, tolerance, enough=False), owners
-
-
-def _values(problem: Problem, result: FitResult | None) -> np.ndarray:
-    """Of the numbers: those of the scene, of the fit, or where the instrument starts; shape (P,)."""
-    values = np.array([math.nan if p.start is None else p.start for p in problem.numbers], np.float64)
-    for part in problem.layout.parts:
-        leaves = jax.tree.leaves(part.scene)
-        for leaf, number in part.slots:
-            values[number] = float(leaves[leaf])
-    best = {} if result is None else result.minima[0].values
-    for i, p in enumerate(problem.numbers):
-        if p.role != "scene":
-            values[i] = best.get(p.name, best.get(p.name.partition("[")[0], values[i]))
-        if not p.lower <= values[i] <= p.upper:
-            raise ValueError(
-                f"scene: {p.name} is {p.displayed(values[i]):g}; expected a value in its allowed range, "
-                f"{p.displayed(p.lower):g} to {p.displayed(p.upper):g}: the plan is made for it"
-            )
-    return values
-
-
-def _spectra(problem: Problem) -> np.ndarray:
-    """The scene's own spectra where they are free, shape (Q, U)."""
-    spectra = np.zeros((problem.layout.free_spectra, problem.layout.blocks))
-    for part in problem.layout.parts:
-        leaves = jax.tree.leaves(part.scene)
-        for slot in part.spectral:
-            if slot.source is None:
-                own = as_array(leaves[slot.leaf], part.shape[1])
-                for row, value in zip(slot.rows, (np.real(own), np.imag(own)), strict=False):
-                    spectra[row, part.places] = value
-    return spectra
-
-
-def _spread(problem: Problem, given: Any, result: FitResult | None) -> dict[str, float]:
-    """Half-width, in its own unit, within which each searched number may lie."""
-    searched = problem.searched
-    if given is not None and not isinstance(given, Mapping):
-        if len(searched) != 1:
-            names = ", ".join(p.name for p in searched) or "none"
-            raise ValueError(f"spread is {given!r}, and what is searched is {names}; expected half-widths by name")
-        given = {searched[0].name: given}
-    found = {}
-    for p in searched:
-        if given is not None:
-            found[p.name] = given.get(p.name, 0.0)
-        elif result is not None and p.name in result.estimates:
-            estimate = result.estimates[p.name]
-            ends = estimate.interval_95[0][0], estimate.interval_95[-1][1]
-            error = estimate.standard_error
-            found[p.name] = 2 * error if math.isfinite(error) else (ends[1] - ends[0]) / 2
-        else:
-            found[p.name] = _SHARE * (p.upper - p.lower)
-    unknown = next((name for name in given or () if name not in found), None)
-    if unknown is not None:
-        raise ValueError(f"spread names {unknown!r}; expected what is searched: {', '.join(found) or 'nothing'}")
-    for name, width in found.items():
-        if not (isinstance(width, float | int | np.floating) and 0 <= width < math.inf):
-            raise ValueError(
-                f"spread of {name} is {width!r}; expected a number of at least 0, radians for an angle"
-            )
-    return {name: float(width) for name, width in found.items()}
-
-
-def _across(problem: Problem, at: np.ndarray, widths: dict[str, float]) -> np.ndarray:
-    """The expected values, and those to both sides of each number that may differ; shape (K, P)."""
-    points = [at]
-    for i, p in enumerate(problem.numbers):
-        if widths.get(p.name, 0.0) > 0:
-            for step in _STEPS[1:]:
-                moved = at.copy()
-                moved[i] = np.clip(at[i] + step * widths[p.name], p.lower, p.upper)
-                points.append(moved)
-    return np.stack(points)
 
 
 def _interest(problem: Problem, names: Sequence[str] | None) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -479,7 +280,7 @@ def _report(
         views=tuple(everything[c] for c in chosen),
         chosen=tuple(chosen),
         candidates=everything,
-        measured=_listed(known),
+        measured=listed(known),
         values={p.name: float(expected.values[0, i]) for i, p in enumerate(problem.numbers) if i not in hidden},
         units={name: units.get(name, "1") for name in errors},
         spread=widths,
@@ -494,13 +295,4 @@ def _report(
         attainable={
             p.name: bool(np.isfinite(every[:, i]).all()) for i, p in enumerate(problem.numbers) if i not in hidden
         },
-    )
-
-
-def _listed(known: dict[str, Any]) -> tuple[PlannedView, ...]:
-    """The directions that are measured already."""
-    return tuple(
-        PlannedView(label, float(polar), float(azimuth))
-        for label, one in known.items()
-        for polar, azimuth in zip(one.polar, one.azimuth, strict=True)
     )

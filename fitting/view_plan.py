@@ -33,8 +33,8 @@ class PlannedView:
 class ViewPlan:
     """The views to measure next, and the standard errors to expect.
 
-    Errors are those of the slopes of the model (Cramér-Rao): no unbiased estimate is better, and a fit attains them
-    where the model is smooth and has one minimum.
+    Errors are those of the slopes of the model (Cramér-Rao): no unbiased estimate is better, and a fit attains
+    them where the model is smooth and has one minimum.
 
     Args:
         views: to measure, the most useful first, N of them.
@@ -91,7 +91,7 @@ class ViewPlan:
 
     @property
     def identifiable(self) -> dict[str, np.ndarray]:
-        """By name, whether it is identifiable anywhere within the spread: before, and after each view, (N + 1,)."""
+        """By name, whether it is identifiable anywhere within the spread: before and after each view, (N + 1,)."""
         return {
             name: np.isfinite(errors.reshape(len(errors), -1)).all(axis=1)
             for name, errors in self.worst_standard_errors.items()
@@ -227,9 +227,9 @@ class ViewPlan:
         files.write(path, json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
     def to_csv(self, path: str | PathLike[str]) -> None:
-        """Write a table: one row for "before" (view 0) and one for each view; spectra by the median of their errors.
+        """Write a table: a row for "before" (view 0) and one for each view; of spectra the median of the errors.
 
-        Angles and their errors are degrees; a cell is empty where there is no direction, or nothing is identifiable.
+        Angles and their errors are degrees. A cell is empty without a direction, or where nothing is identifiable.
 
         Raises:
             OSError: the file cannot be written.
