@@ -119,11 +119,8 @@ def planned_noise(noise: Any, known: dict[str, Any], length: int) -> np.ndarray:
             raise ValueError(
                 "noise is None, and no measurement states its uncertainty; expected a number, as 0.005"
             )
-        m = stated[0]
-        valid = np.where(np.isnan(m.reflectance_factor), np.nan, m.standard_uncertainty)
-        noise = (
-            np.sqrt(np.nanmean(valid**2, axis=0)) if valid.shape[1] == length else np.sqrt(np.nanmean(valid**2))
-        )
+        present = [np.asarray(m.standard_uncertainty)[~np.isnan(m.reflectance_factor)] for m in stated]
+        noise = np.sqrt(np.mean(np.concatenate(present) ** 2))
     sigma = np.asarray(noise, np.float64)
     if sigma.shape not in ((), (length,)):
         raise ValueError(

@@ -9,7 +9,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-import jax
 import numpy as np
 
 import vcavity_jax as vc
@@ -49,8 +48,8 @@ def plan_views(
 
     The Fisher information of a view is JᵀJ/σ², with the slopes J of the model at the scene's own parameters;
     that of several views, of what is measured already and of the priors adds up. Its inverse, with every nuisance
-    and every spectrum in it, bounds the covariance of the estimates (Cramér-Rao). Sets of views are compared first by
-    what is not identifiable, then by the criterion:
+    and every spectrum in it, bounds the covariance of the estimates (Cramér-Rao). Sets of views are compared first
+    by what is not identifiable, then by the criterion:
 
     - "A": the sum of the variances of what is of interest, each relative to the width of its allowed range;
     - "D": the determinant of their covariance, scaled in the same way.
@@ -67,7 +66,7 @@ def plan_views(
             one is chosen at most once: list it twice to allow that.
         count: how many to choose.
         noise: expected standard uncertainty of a value, as a fraction: one number, or one per wavelength, shape
-            (L,). None for that of what is measured (root mean square over its directions).
+            (L,). None for that of what is measured (its root mean square).
         measured: a ``Measurement``, a list or dictionary of them, or directions, which were measured with the
             same noise in the scene's light. The measured values do not matter.
         criterion: "A" or "D".

@@ -39,6 +39,15 @@ _MAP_EPILOG = """\
 example:
   vcavity map --angle 45deg --material specular --index Au-Johnson --output gold"""
 
+_PLAN_EPILOG = """\
+exit status: 0 everything is identifiable after the planned views; 1 it is not; 2 bad input
+
+examples:
+  vcavity plan --angle 60deg --material lambertian --reflectance flat.csv --free angle --free reflectance \\
+               --count 3 --noise 0.005 --wavelengths 400:700:10
+  vcavity plan --angle 90deg --spread 3deg --material specular --index Au-Johnson --measured 0,0 \\
+               --count 2 --noise 0.005 --wavelengths 400:700:10 --output next"""
+
 
 class _Parser(argparse.ArgumentParser):
     """A parser that reports bad usage as any other bad input, and takes "-30,0,30" for a value."""
@@ -94,6 +103,15 @@ def parser() -> argparse.ArgumentParser:
     )
     _add_map_options(chart)
 
+    plan = commands.add_parser(
+        "plan",
+        help="which directions to measure next",
+        description="Choose the directions of view (and the light) that tell most about the free parameters, "
+        "and predict their standard errors before and after each of them.",
+        epilog=_PLAN_EPILOG,
+    )
+    _add_plan_options(plan)
+
     materials = commands.add_parser(
         "materials",
         help="list the bundled tables of refractive indices",
@@ -115,16 +133,7 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
         "of options; --output, --json and --tolerance may stand beside it",
     )
     _add_scene_options(fit, defaults=False)
-    what = fit.add_argument_group("what is fitted")
-    what.add_argument(
-        "--free",
-        action="append",
-        choices=words.PARAMETERS,
-        default=[],
-        metavar="NAME",
-        help="a parameter to fit, may be repeated (default: the surface's own, angle or roughness): "
-        f"{', '.join(words.PARAMETERS)}",
-    )
+    what = _add_free_options(fit)
     what.add_argument(
         "--fix",
         action="append",
@@ -132,31 +141,6 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=VALUE",
         help="hold a parameter: angle=45deg or roughness=0.3",
-    )
-    what.add_argument(
-        "--smooth",
-        type=words.length,
-        metavar="NM",
-        help="correlation length of a free reflectance or transmittance, 30 to 80 for pigments and inks "
-        "(default: free at each wavelength)",
-    )
-    what.add_argument(
-        "--angle-range",
-        type=words.angle_range,
-        metavar="LOW:HIGH",
-        help="degrees to search (default: 5:180, or 10:180 for interfaced, whose narrow grooves are slow)",
-    )
-    what.add_argument(
-        "--roughness-range", type=words.positive_range, metavar="LOW:HIGH", help="to search (default: 0.01:3)"
-    )
-    what.add_argument(
-        "--index-range", type=words.positive_range, metavar="LOW:HIGH", help="of a free index (default: 1.2:2.5)"
-    )
-    what.add_argument(
-        "--no-priors",
-        action="store_true",
-        help="let gain and offset take any value, a tilt any within 5 degrees, a wavelength_shift any within 3 nm "
-        "(default: 1 ± 0.01, 0 ± 0.002, 0 ± 1 and 0 ± 1, Gaussian)",
     )
     data = fit.add_argument_group("the measurement")
     data.add_argument("--column", metavar="NAME", help="the sample to take from a table of samples")
@@ -276,6 +260,130 @@ def _add_map_options(chart: argparse.ArgumentParser) -> None:
         "--format", choices=("npz", "netcdf"), default="npz", help="of the data: NumPy (default) or NetCDF 3"
     )
     _add_tolerance(chart, 1e-6)
+
+
+def _add_free_options(command: argparse.ArgumentParser) -> Any:
+    """What is unknown; returns the group of these options."""
+    what = command.add_argument_group("what is fitted")
+    what.add_argument(
+        "--free",
+        action="append",
+        choices=words.PARAMETERS,
+        default=[],
+        metavar="NAME",
+        help="a parameter to fit, may be repeated (default: the surface's own, angle or roughness): "
+        f"{', '.join(words.PARAMETERS)}",
+    )
+    what.add_argument(
+        "--smooth",
+        type=words.length,
+        metavar="NM",
+        help="correlation length of a free reflectance or transmittance, 30 to 80 for pigments and inks "
+        "(default: free at each wavelength)",
+    )
+    what.add_argument(
+        "--angle-range",
+        type=words.angle_range,
+        metavar="LOW:HIGH",
+        help="degrees to search (default: 5:180, or 10:180 for interfaced, whose narrow grooves are slow)",
+    )
+    what.add_argument(
+        "--roughness-range", type=words.positive_range, metavar="LOW:HIGH", help="to search (default: 0.01:3)"
+    )
+    what.add_argument(
+        "--index-range", type=words.positive_range, metavar="LOW:HIGH", help="of a free index (default: 1.2:2.5)"
+    )
+    what.add_argument(
+        "--no-priors",
+        action="store_true",
+        help="let gain and offset take any value, a tilt any within 5 degrees, a wavelength_shift any within 3 nm "
+        "(default: 1 ± 0.01, 0 ± 0.002, 0 ± 1 and 0 ± 1, Gaussian)",
+    )
+    return what
+
+
+def _add_plan_options(plan: argparse.ArgumentParser) -> None:
+    _add_scene_options(plan)
+    plan.add_argument("--angle", type=words.angle, metavar="DEG", help="expected angle of v-grooves: 45deg")
+    plan.add_argument(
+        "--roughness", type=words.roughness, metavar="M", help="expected roughness m of random grooves"
+    )
+    plan.add_argument(
+        "--spread",
+        type=words.half_width,
+        metavar="WIDTH",
+        help="half-width within which that may be wrong, 3deg or 0.05; the plan is best for the worst value in it "
+        "(default: 1 %% of its allowed range)",
+    )
+    _add_free_options(plan)
+    choice = plan.add_argument_group("the choice")
+    choice.add_argument("--count", type=words.count, required=True, metavar="N", help="how many views to choose")
+    choice.add_argument(
+        "--noise",
+        type=words.positive,
+        required=True,
+        metavar="SIGMA",
+        help="expected standard uncertainty of every value, as a fraction",
+    )
+    choice.add_argument(
+        "--wavelengths", type=words.grid, required=True, metavar="NM", help="400:700:10 or 450,550,650"
+    )
+    choice.add_argument(
+        "--polar",
+        type=words.polar_grid,
+        default="0:80:5",
+        metavar="DEG",
+        help="candidate view angles, START:STOP:STEP or a list (default: %(default)s)",
+    )
+    choice.add_argument(
+        "--azimuth",
+        type=words.azimuth_grid,
+        default="0,45,90",
+        metavar="DEG",
+        help="candidate azimuths, each with each view angle: 0 across the grooves (default: %(default)s)",
+    )
+    choice.add_argument(
+        "--illumination",
+        type=words.illumination,
+        action="append",
+        default=[],
+        metavar="LIGHT",
+        help="diffuse (default), directional:POLAR,AZIMUTH or annular:POLAR in degrees; may be repeated to choose "
+        "the light, too",
+    )
+    choice.add_argument(
+        "--measured",
+        type=words.direction,
+        action="append",
+        default=[],
+        metavar="POLAR,AZIMUTH",
+        help="a direction that is measured already, in the first light and with the same noise; may be repeated",
+    )
+    choice.add_argument(
+        "--interest",
+        action="append",
+        metavar="NAME",
+        help="a free parameter whose error counts, may be repeated (default: what is searched: angle, roughness, "
+        "index or coverage)",
+    )
+    choice.add_argument(
+        "--criterion",
+        choices=("A", "D"),
+        default="A",
+        help="least sum of the variances (A, default) or least determinant of the covariance (D)",
+    )
+    choice.add_argument(
+        "--method",
+        choices=("exchange", "greedy", "exhaustive"),
+        default="exchange",
+        help="swap single views of a greedy choice (default), take it as it is, or try all sets",
+    )
+    output = plan.add_argument_group("output")
+    output.add_argument(
+        "--output", metavar="DIR", help="folder for plan.json, plan.csv and plan.png (default: none)"
+    )
+    output.add_argument("--json", action="store_true", help="print the JSON alone")
+    _add_tolerance(plan)
 
 
 def _add_scene_options(command: argparse.ArgumentParser, *, defaults: bool = True) -> None:
