@@ -1,5 +1,4 @@
 """Picture of a plan of views: where they lie among the candidates, and the standard errors after each of them."""
-# ruff: noqa: RUF001 (the labels are typeset: Greek letters, a real minus)
 
 from os import PathLike
 from typing import Any
@@ -8,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator, ScalarFormatter
 
 from fitting.parameters import displayed
@@ -18,6 +18,8 @@ _WIDTH = 3.5  # inches: one column of a journal
 _MARKS = "osD^vP"
 _COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#555555", "#000000")
 _MOST = 4
+_NEAR = 9.0  # degrees: labels of views nearer than this to each other would overlap
+_HALO = [withStroke(linewidth=2.0, foreground="white")]
 
 
 def plot_plan(plan: ViewPlan, path: str | PathLike[str]) -> None:
@@ -37,7 +39,7 @@ def plot_plan(plan: ViewPlan, path: str | PathLike[str]) -> None:
 def _draw(plan: ViewPlan) -> Figure:
     lights = list(dict.fromkeys(view.light for view in plan.candidates))
     names = _drawn(plan)
-    heights = [2.7] * len(lights) + [1.5] * len(names)
+    heights = [3.4] * len(lights) + [1.5] * len(names)
     figure = Figure(figsize=(_WIDTH, sum(heights) + 0.6), layout="constrained")
     FigureCanvasAgg(figure)
     every = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0].tolist()
@@ -51,7 +53,7 @@ def _draw(plan: ViewPlan) -> Figure:
         )
     below = every[len(lights) :]
     for k, (name, axes) in enumerate(zip(names, below, strict=True)):
-        _draw_errors(plan, name, axes, next(letters), last=k == len(names) - 1)
+        _draw_errors(plan, name, axes, next(letters), first=k == 0, last=k == len(names) - 1)
     figure.align_ylabels(below)
     return figure
 
@@ -88,9 +90,21 @@ def _draw_sky(plan: ViewPlan, light: str, axes: Axes, title: str) -> None:
     chosen = [(i + 1, view) for i, view in enumerate(plan.views) if view.light == light]
     if chosen:
         x, y = _place(tuple(view for _, view in chosen))
-        axes.plot(x, y, "o", mfc="white", mec=_COLORS[0], mew=1.2, ms=9, zorder=4, label="to measure, in order")
-        for label, (across, along) in _labels(chosen, x, y).items():
-            axes.annotate(label, (across, along), fontsize=7, ha="center", va="center_baseline", zorder=5)
+        axes.plot(x, y, "o", mfc="white", mec=_COLORS[0], mew=1.3, ms=6, zorder=4, label="to measure, in order")
+        for numbers, across, along in _clusters([number for number, _ in chosen], x, y):
+            axes.annotate(
+                ", ".join(map(str, numbers)),
+                (across, along),
+                xytext=(0, 9),
+                textcoords="offset points",
+                fontsize=8,
+                color=_COLORS[0],
+                weight="bold",
+                ha="center",
+                va="center",
+                zorder=5,
+                path_effects=_HALO,
+            )
     axes.set_xlim(-98, 98)
     axes.set_ylim(-98, 98)
     axes.set_aspect("equal")
@@ -98,19 +112,23 @@ def _draw_sky(plan: ViewPlan, light: str, axes: Axes, title: str) -> None:
     axes.set_ylabel("along, θ sin φ (deg)")
     axes.set_xticks([-90, -60, -30, 0, 30, 60, 90])
     axes.set_yticks([-90, -60, -30, 0, 30, 60, 90])
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=7, handletextpad=0.3, borderaxespad=0.2)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.19), ncols=3, handletextpad=0.2, columnspacing=1.0)
     axes.set_title(title, loc="left")
 
 
-def _labels(chosen: list[tuple[int, PlannedView]], x: np.ndarray, y: np.ndarray) -> dict[str, tuple[float, float]]:
-    """Numbers of the views at their places; views at the same place share one label."""
-    at: dict[tuple[float, float], list[int]] = {}
-    for (number, _), across, along in zip(chosen, x, y, strict=True):
-        at.setdefault((round(float(across), 3), round(float(along), 3)), []).append(number)
-    return {",".join(map(str, numbers)): place for place, numbers in at.items()}
+def _clusters(numbers: list[int], x: np.ndarray, y: np.ndarray) -> list[tuple[list[int], float, float]]:
+    """Numbers of views that are too near to each other for a label each, and the middle of their places."""
+    groups: list[list[int]] = []
+    for i in range(len(numbers)):
+        near = next((g for g in groups if any(np.hypot(x[i] - x[j], y[i] - y[j]) < _NEAR for j in g)), None)
+        if near is None:
+            groups.append([i])
+        else:
+            near.append(i)
+    return [([numbers[i] for i in g], float(np.mean(x[g])), float(np.mean(y[g]))) for g in groups]
 
 
-def _draw_errors(plan: ViewPlan, name: str, axes: Axes, letter: str, *, last: bool) -> None:
+def _draw_errors(plan: ViewPlan, name: str, axes: Axes, letter: str, *, first: bool, last: bool) -> None:
     """Standard errors before and after each view; none is drawn where there is none."""
     count = np.arange(len(plan.views) + 1)
     unit = plan.units[name]
@@ -128,8 +146,8 @@ def _draw_errors(plan: ViewPlan, name: str, axes: Axes, letter: str, *, last: bo
     axes.plot(count, nominal, "-", color=_COLORS[0], marker=_MARKS[0], ms=4, label="at the expected values")
     axes.set_yscale("log")
     low, high = np.nanmin(np.append(nominal, worst)), np.nanmax(np.append(nominal, worst))
-    axes.set_ylim(low / 1.35, high * 1.35)
-    if high / low < 8:
+    axes.set_ylim(low / 1.3, high * (2.2 if first else 1.3))
+    if high / low < 6:
         axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
         axes.yaxis.set_minor_locator(NullLocator())
         axes.yaxis.set_major_formatter(ScalarFormatter())
@@ -142,7 +160,7 @@ def _draw_errors(plan: ViewPlan, name: str, axes: Axes, letter: str, *, last: bo
         axes.axvspan(-0.3, lost[-1] + 0.5, color="0.92", lw=0, zorder=0)
         axes.text(
             (lost[-1] + 0.2) / 2,
-            0.5,
+            0.3,
             "not\nidentifiable",
             fontsize=7,
             ha="center",
@@ -154,6 +172,7 @@ def _draw_errors(plan: ViewPlan, name: str, axes: Axes, letter: str, *, last: bo
     axes.set_ylabel(f"std. error{shown}")
     if last:
         axes.set_xlabel("views measured in addition")
-    axes.legend(loc="upper right", fontsize=7)
+    if first:
+        axes.legend(loc="upper right")
     median = ", median over the wavelengths" if plan.standard_errors[name].ndim > 1 else ""
     axes.set_title(f"({letter}) {name}{median}", loc="left")
