@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from fitting.measurement import read_spectrum as read_spectrum
     from fitting.parameters import Parameter as Parameter
     from fitting.parameters import SpectralParameter as SpectralParameter
+    from fitting.planning import plan_views as plan_views
     from fitting.posterior import Posterior as Posterior
     from fitting.profile import ProfileLikelihood as ProfileLikelihood
     from fitting.profile import profile_likelihood as profile_likelihood
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from fitting.rival import refit_with_rival as refit_with_rival
     from fitting.sampling import sample_posterior as sample_posterior
     from fitting.solve import fit as fit
+    from fitting.view_plan import PlannedView as PlannedView
+    from fitting.view_plan import ViewPlan as ViewPlan
 
 _HOMES = {
     "Estimate": "fitting.result",
@@ -37,14 +40,17 @@ _HOMES = {
     "Measurement": "fitting.measurement",
     "Minimum": "fitting.result",
     "Parameter": "fitting.parameters",
+    "PlannedView": "fitting.view_plan",
     "Posterior": "fitting.posterior",
     "ProfileLikelihood": "fitting.profile",
     "Recovery": "fitting.recovery",
     "Rival": "fitting.rival",
     "SpectralEstimate": "fitting.result",
     "SpectralParameter": "fitting.parameters",
+    "ViewPlan": "fitting.view_plan",
     "fit": "fitting.solve",
     "fit_many": "fitting.many",
+    "plan_views": "fitting.planning",
     "profile_likelihood": "fitting.profile",
     "read_spectrum": "fitting.measurement",
     "recover_reflectance": "fitting.recovery",
@@ -60,15 +66,18 @@ __all__ = [
     "Measurement",
     "Minimum",
     "Parameter",
+    "PlannedView",
     "Posterior",
     "ProfileLikelihood",
     "Recovery",
     "Rival",
     "SpectralEstimate",
     "SpectralParameter",
+    "ViewPlan",
     "fit",
     "fit_many",
     "free",
+    "plan_views",
     "priors",
     "profile_likelihood",
     "read_spectrum",

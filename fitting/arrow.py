@@ -86,7 +86,7 @@ def linearized(
     for part, values, weights, mean, known in zip(
         layout.parts, data.values, data.weights, data.means, data.known, strict=True
     ):
-        predicted, columns = _derivatives(layout, part, natural, spectra, known, mean)
+        predicted, columns = derivatives(layout, part, natural, spectra, known, mean)
         rows = jnp.concatenate([columns, (predicted - values)[..., None]], axis=-1) * weights[..., None]
         products = jnp.einsum("dwi,dwj->wij", rows, rows)
         total = total.at[part.places].add(products) if layout.free_spectra else total + products.sum(axis=0)
@@ -96,10 +96,22 @@ def linearized(
     return total, tuple(predictions)
 
 
-def _derivatives(
+def derivatives(
     layout: Layout, part: Part, natural: Array, spectra: Array, known: tuple[Array, ...], mean: Array
 ) -> tuple[Array, Array]:
-    """Recorded values and their derivatives with respect to the P numbers and the Q spectra."""
+    """Recorded values of one measurement, shape (D, L), and their derivatives.
+
+    Args:
+        layout: of the fit.
+        part: the measurement's share of it.
+        natural: natural coordinates of the P numbers.
+        spectra: free spectra, shape (Q, U).
+        known: numbers of the scene that are neither free nor compiled in.
+        mean: of the measured spectrum in each direction, shape (D,).
+
+    Returns:
+        The values, and their derivatives with respect to the P numbers and the Q spectra, shape (D, L, P + Q).
+    """
     numbers, rows = layout.inputs(part, natural, spectra)
     count, channels = numbers.shape[0], rows.shape[0]
 

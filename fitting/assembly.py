@@ -39,6 +39,8 @@ def build(
     parameters: Sequence[Any],
     standard_uncertainty: float | int | None,
     tolerance: float,
+    *,
+    enough: bool = True,
 ) -> Problem:
     """Check a fit's inputs and make it ready.
 
@@ -48,6 +50,7 @@ def build(
         parameters: free ones; at most three are searched.
         standard_uncertainty: fraction; takes precedence over the measurements' own; None for that.
         tolerance: bound on the model's numerical error.
+        enough: refuse fewer values than unknowns, which no fit can do with.
 
     Raises:
         ValueError: anything that does not fit together, in one line.
@@ -119,7 +122,7 @@ def build(
         starts=_spectral_starts(layout, data, owners),
         angles=_angles(named, parts),
     )
-    if problem.degrees_of_freedom < 0:
+    if enough and problem.degrees_of_freedom < 0:
         weights = [np.asarray(w) for w in data.weights]
         raise ValueError(
             f"{sum(int(np.sum(w > 0)) for w in weights)} measured values for {problem.unknowns(weights)} free "

@@ -255,7 +255,7 @@ def _inverted(nodes: Float[Array, " k"], log_density: Float[Array, " k"], unifor
 
 
 def _powers(parameter: Parameter) -> tuple[float, float]:
-    """What turns a prior's density into one of the natural coordinate: factors of ln v, which is that one or not."""
+    """What turns a prior's density into one of the natural coordinate: powers of the value."""
     prior, logarithmic = parameter.prior, parameter.scale == "log"
     if prior is None:
         return 0.0, 0.0

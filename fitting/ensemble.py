@@ -114,9 +114,9 @@ def run(
         with bar:
             while done < wanted:
                 count = min(_CHECK_EVERY, wanted - done)
-                for reached in sampler.sample(state, iterations=count, skip_initial_state_check=True):
+                steps_taken = sampler.sample(state, iterations=count, skip_initial_state_check=True)
+                for state in steps_taken:  # noqa: B007 (the last one is where it goes on)
                     bar.update()
-                state = reached
                 done += count
                 if steps is None:
                     time, enough = _length(backend)

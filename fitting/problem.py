@@ -268,13 +268,25 @@ class Problem:
 
     def normal(self, at: Descent) -> Normal:
         """Normal equations at the ends of descents, in the scene's units."""
-        logarithmic = np.asarray(self.layout.logarithmic, bool)
-        units = np.where(logarithmic, at.values, 1.0)
+        return self.normal_of(at.values, at.matrix)
+
+    def normal_of(self, values: Float[np.ndarray, "n p"], matrix: Float[np.ndarray, "n b m m"]) -> Normal:
+        """Normal equations at values of the numbers, with all priors, in the scene's units.
+
+        Args:
+            values: of the numbers, in the scene's units.
+            matrix: see ``arrow.End``.
+        """
+        units = self.units(values)
         tight = np.asarray(self.data.tightness, np.float64)
         # The residual of a prior of the logarithm has the slope 1/(value × spread) in the value.
         of_logarithm = np.asarray(self.layout.prior_of_logarithm, bool)
-        slopes = tight * units / np.where(of_logarithm, at.values, 1.0)
-        return normal_equations(at.matrix, slopes, units, self.layout.free_spectra)
+        slopes = tight * units / np.where(of_logarithm, values, 1.0)
+        return normal_equations(matrix, slopes, units, self.layout.free_spectra)
+
+    def units(self, values: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "n p"]:
+        """Derivatives of the numbers with respect to their natural coordinates."""
+        return np.where(np.asarray(self.layout.logarithmic, bool), values, 1.0)
 
     def evaluation(self, at: Descent, held: Bool[np.ndarray, " p"]) -> Evaluation:
         """Ends of descents as points of a profile of what was held."""

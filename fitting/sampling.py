@@ -155,8 +155,8 @@ def _with_priors(result: FitResult, priors: Mapping[str, Any]) -> FitResult:
             far = far or abs(place - center) > _FAR * np.hypot(width, own)
         if far:
             raise ValueError(
-                f"the prior of {name}, {prior!r}, excludes the fit, {value:.4g}; expected one that allows it, or a "
-                "new fit with this prior"
+                f"the prior of {name}, {prior!r}, excludes the fit, {value:.4g}; expected one that allows it, "
+                "or a new fit with this prior"
             )
     return replace(result, problem=with_priors(result.problem, dict(priors)))
 

@@ -61,7 +61,7 @@ def fit(
     Raises:
         ValueError: the inputs do not fit together; the message says what is expected.
     """
-    _warn_of_float32()
+    warn_of_float32()
     if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 1:
         raise ValueError(f"max_steps is {max_steps!r}; expected a whole number of at least 1")
     problem = build(scene, measurement, parameters, standard_uncertainty, tolerance)
@@ -94,7 +94,8 @@ def fit(
     return report(problem, found, unknown)
 
 
-def _warn_of_float32() -> None:
+def warn_of_float32() -> None:
+    """Warn the caller's caller, once."""
     global _warned_of_float32
     if not _warned_of_float32 and jnp.result_type(float) == jnp.float32:
         _warned_of_float32 = True

@@ -9,11 +9,12 @@ import re
 from typing import Any, NoReturn
 
 from fitting.cli import words
+from fitting.cli.options import TOLERANCE as TOLERANCE
+from fitting.cli.options import add_free_options, add_scene_options, add_tolerance
 from fitting.readers.geometry import GEOMETRIES
 
 # As in `vcavity_jax.colorimetry`, which a test compares; importing that takes half a second.
 ILLUMINANTS = ("A", "C", "D50", "D55", "D65", "D75", "E", "FL2", "FL7", "FL11")
-TOLERANCE = 1e-8
 
 # As in `fitting.sampling`, which a test compares.
 SAMPLERS = ("auto", "nested", "emcee", "importance")
@@ -41,6 +42,15 @@ example:
 _MAP_EPILOG = """\
 example:
   vcavity map --angle 45deg --material specular --index Au-Johnson --output gold"""
+
+_PLAN_EPILOG = """\
+exit status: 0 everything is identifiable after the planned views; 1 it is not; 2 bad input
+
+examples:
+  vcavity plan --angle 60deg --material lambertian --reflectance flat.csv --free angle --free reflectance \\
+               --count 3 --noise 0.005 --wavelengths 400:700:10
+  vcavity plan --angle 90deg --spread 3deg --material specular --index Au-Johnson --measured 0,0 \\
+               --count 2 --noise 0.005 --wavelengths 400:700:10 --output next"""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -97,6 +107,15 @@ def parser() -> argparse.ArgumentParser:
     )
     _add_map_options(chart)
 
+    plan = commands.add_parser(
+        "plan",
+        help="which directions to measure next",
+        description="Choose the directions of view (and the light) that tell most about the free parameters, "
+        "and predict their standard errors before and after each of them.",
+        epilog=_PLAN_EPILOG,
+    )
+    _add_plan_options(plan)
+
     materials = commands.add_parser(
         "materials",
         help="list the bundled tables of refractive indices",
@@ -117,17 +136,8 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
         help="take measurements, surface and parameters from this file (TOML, see docs/parameters.md) instead "
         "of options; --output, --json and --tolerance may stand beside it",
     )
-    _add_scene_options(fit, defaults=False)
-    what = fit.add_argument_group("what is fitted")
-    what.add_argument(
-        "--free",
-        action="append",
-        choices=words.PARAMETERS,
-        default=[],
-        metavar="NAME",
-        help="a parameter to fit, may be repeated (default: the surface's own, angle or roughness): "
-        f"{', '.join(words.PARAMETERS)}",
-    )
+    add_scene_options(fit, defaults=False)
+    what = add_free_options(fit)
     what.add_argument(
         "--fix",
         action="append",
@@ -135,31 +145,6 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=VALUE",
         help="hold a parameter: angle=45deg or roughness=0.3",
-    )
-    what.add_argument(
-        "--smooth",
-        type=words.length,
-        metavar="NM",
-        help="correlation length of a free reflectance or transmittance, 30 to 80 for pigments and inks "
-        "(default: free at each wavelength)",
-    )
-    what.add_argument(
-        "--angle-range",
-        type=words.angle_range,
-        metavar="LOW:HIGH",
-        help="degrees to search (default: 5:180, or 10:180 for interfaced, whose narrow grooves are slow)",
-    )
-    what.add_argument(
-        "--roughness-range", type=words.positive_range, metavar="LOW:HIGH", help="to search (default: 0.01:3)"
-    )
-    what.add_argument(
-        "--index-range", type=words.positive_range, metavar="LOW:HIGH", help="of a free index (default: 1.2:2.5)"
-    )
-    what.add_argument(
-        "--no-priors",
-        action="store_true",
-        help="let gain and offset take any value, a tilt any within 5 degrees, a wavelength_shift any within 3 nm "
-        "(default: 1 ± 0.01, 0 ± 0.002, 0 ± 1 and 0 ± 1, Gaussian)",
     )
     data = fit.add_argument_group("the measurement")
     data.add_argument("--column", metavar="NAME", help="the sample to take from a table of samples")
@@ -186,7 +171,7 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
     sampled.add_argument(
         "--sampler",
         choices=SAMPLERS,
-        help="nested grid where it applies (default), emcee (which also keeps chain.h5, and resumes, and trace.png), "
+        help="nested grid where it applies (default), emcee (which keeps chain.h5 to resume from), "
         "or importance sampling",
     )
     sampled.add_argument("--seed", type=words.count, metavar="N", help="of the random numbers (default: 1)")
@@ -197,14 +182,14 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
         help="folder for fit.json and fit.png (default: beside the measurement or FILE, <name>-fit/)",
     )
     output.add_argument("--json", action="store_true", help="print the JSON alone")
-    _add_tolerance(fit, None)
+    add_tolerance(fit, None)
     fit.add_argument(
         "--max-steps", type=words.count, metavar="N", help="most steps of each descent to a minimum (default: 60)"
     )
 
 
 def _add_predict_options(predict: argparse.ArgumentParser) -> None:
-    _add_scene_options(predict)
+    add_scene_options(predict)
     predict.add_argument("--angle", type=words.angle, metavar="DEG", help="dihedral angle of v-grooves: 45deg")
     predict.add_argument("--roughness", type=words.roughness, metavar="M", help="roughness m of random grooves")
     predict.add_argument(
@@ -239,11 +224,11 @@ def _add_predict_options(predict: argparse.ArgumentParser) -> None:
         "--trap", type=words.half_angle, metavar="DEG", help="half-angle of the gloss trap of de:8 (default: 6)"
     )
     predict.add_argument("--output", metavar="FILE", help="write here instead of to standard output")
-    _add_tolerance(predict)
+    add_tolerance(predict)
 
 
 def _add_map_options(chart: argparse.ArgumentParser) -> None:
-    _add_scene_options(chart)
+    add_scene_options(chart)
     chart.add_argument("--angle", type=words.angle, metavar="DEG", help="dihedral angle of v-grooves: 45deg")
     chart.add_argument("--roughness", type=words.roughness, metavar="M", help="roughness m of random grooves")
     chart.add_argument(
@@ -291,77 +276,88 @@ def _add_map_options(chart: argparse.ArgumentParser) -> None:
     output.add_argument(
         "--format", choices=("npz", "netcdf"), default="npz", help="of the data: NumPy (default) or NetCDF 3"
     )
-    _add_tolerance(chart, 1e-6)
+    add_tolerance(chart, 1e-6)
 
 
-def _add_scene_options(command: argparse.ArgumentParser, *, defaults: bool = True) -> None:
-    """What is seen; without defaults it can be told what was given."""
-    scene = command.add_argument_group("the surface")
-    scene.add_argument(
-        "--surface",
-        choices=tuple(words.OWN_PARAMETER),
-        default="v-grooves" if defaults else None,
-        help="grooves of one angle (default), or of random angles with Beckmann or Gaussian slopes",
+def _add_plan_options(plan: argparse.ArgumentParser) -> None:
+    add_scene_options(plan)
+    plan.add_argument("--angle", type=words.angle, metavar="DEG", help="expected angle of v-grooves: 45deg")
+    plan.add_argument(
+        "--roughness", type=words.roughness, metavar="M", help="expected roughness m of random grooves"
     )
-    scene.add_argument("--material", choices=tuple(words.MATERIALS), required=defaults)
-    scene.add_argument(
-        "--index",
-        metavar="INDEX",
-        help="specular: a table's name (see vcavity materials), a number (1.5, 0.35+2.7j) or a file; "
-        "interfaced: the same of a clear material, without k",
+    plan.add_argument(
+        "--spread",
+        type=words.half_width,
+        metavar="WIDTH",
+        help="half-width within which that may be wrong, 3deg or 0.05; the plan is best for the worst value in it "
+        "(default: 1 %% of its allowed range)",
     )
-    scene.add_argument(
-        "--polarization",
-        choices=words.POLARIZATIONS,
-        help="follow the polarization exactly (full, the default of specular), or approximate it (unpolarized, "
-        "the default of interfaced; separate, specular only)",
-    )
-    scene.add_argument(
-        "--reflectance",
-        metavar="R",
-        help="lambertian: a number from 0 to 1, or the file of a flat sample's spectrum; interfaced: that of the "
-        "material below its interface (the intrinsic one), not what a glossy flat sample shows; none if free",
-    )
-    scene.add_argument(
-        "--reflectance-column", metavar="NAME", help="the sample to take from a --reflectance table"
-    )
-    scene.add_argument(
-        "--resample",
-        action="store_true",
-        default=None,
-        help="interpolate the spectra of --reflectance and --layer linearly where their wavelengths differ",
-    )
-    clear = command.add_argument_group("the interface (--material interfaced)")
-    clear.add_argument(
-        "--layer",
-        metavar="T",
-        help="transmittance of a colored layer below the interface for one passage: a number from 0 to 1, or a "
-        "file (default: no layer)",
-    )
-    clear.add_argument("--layer-column", metavar="NAME", help="the sample to take from a --layer table")
-    clear.add_argument(
-        "--layer-model",
-        choices=words.LAYER_MODELS,
-        help="follow the length of each passage through the layer (default), or take all for normal ones",
-    )
-    clear.add_argument(
-        "--coverage",
-        type=words.share,
-        metavar="A",
-        help="share of the area that the layer covers, in halftone dots: 0 to 1",
-    )
-    clear.add_argument(
-        "--specular",
-        choices=words.SPECULAR,
-        help="whether the light that never enters the material counts (default: included)",
-    )
-
-
-def _add_tolerance(command: argparse.ArgumentParser, default: float | None = TOLERANCE) -> None:
-    command.add_argument(
-        "--tolerance",
+    add_free_options(plan)
+    choice = plan.add_argument_group("the choice")
+    choice.add_argument("--count", type=words.count, required=True, metavar="N", help="how many views to choose")
+    choice.add_argument(
+        "--noise",
         type=words.positive,
-        default=default,
-        metavar="ERROR",
-        help=f"absolute error of the computed reflectance factor, at most (default: {default or TOLERANCE:g})",
+        required=True,
+        metavar="SIGMA",
+        help="expected standard uncertainty of every value, as a fraction",
     )
+    choice.add_argument(
+        "--wavelengths", type=words.grid, required=True, metavar="NM", help="400:700:10 or 450,550,650"
+    )
+    choice.add_argument(
+        "--polar",
+        type=words.polar_grid,
+        default="0:80:5",
+        metavar="DEG",
+        help="candidate view angles, START:STOP:STEP or a list (default: %(default)s)",
+    )
+    choice.add_argument(
+        "--azimuth",
+        type=words.azimuth_grid,
+        default="0,45,90",
+        metavar="DEG",
+        help="candidate azimuths, each with each view angle: 0 across the grooves (default: %(default)s)",
+    )
+    choice.add_argument(
+        "--illumination",
+        type=words.illumination,
+        action="append",
+        default=[],
+        metavar="LIGHT",
+        help="diffuse (default), directional:POLAR,AZIMUTH or annular:POLAR in degrees; may be repeated to choose "
+        "the light, too",
+    )
+    choice.add_argument(
+        "--measured",
+        type=words.direction,
+        action="append",
+        default=[],
+        metavar="POLAR,AZIMUTH",
+        help="a direction that is measured already, in the first light and with the same noise; may be repeated",
+    )
+    choice.add_argument(
+        "--interest",
+        action="append",
+        metavar="NAME",
+        help="a free parameter whose error counts, may be repeated (default: what is searched: angle, roughness, "
+        "index or coverage)",
+    )
+    choice.add_argument(
+        "--criterion",
+        choices=("A", "D"),
+        default="A",
+        help="least sum of the variances (A, default) or least determinant of the covariance (D)",
+    )
+    choice.add_argument(
+        "--method",
+        choices=("exchange", "greedy", "exhaustive"),
+        default="exchange",
+        help="swap single views of a greedy choice (default), take it as it is, or try all sets",
+    )
+    output = plan.add_argument_group("output")
+    output.add_argument(
+        "--output", metavar="DIR", help="folder for plan.json, plan.csv and plan.png (default: none)"
+    )
+    output.add_argument("--json", action="store_true", help="print the JSON alone")
+    add_tolerance(plan)

@@ -23,7 +23,7 @@ def run(given: argparse.Namespace) -> int:
     if not given.posterior and (given.sampler or given.seed):
         raise ValueError(f"--{'sampler' if given.sampler else 'seed'} has no effect: expected --posterior with it")
     folder = asked.folder if given.output is None else Path(given.output)
-    _require_writable(folder)
+    require_writable(folder)
     tolerance = {} if given.tolerance is None else {"tolerance": given.tolerance}
     options = {"tolerance": arguments.TOLERANCE} | asked.options | tolerance
 
@@ -81,7 +81,7 @@ def _refuse_beside_config(given: argparse.Namespace) -> None:
             )
 
 
-def _require_writable(folder: Path) -> None:
+def require_writable(folder: Path) -> None:
     """Refuse a folder that cannot be written, before the fit and without leaving anything behind."""
     existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not existing.is_dir():

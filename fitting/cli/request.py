@@ -58,7 +58,7 @@ def of_options(given: argparse.Namespace) -> Request:
     sample = scenes.of_options(
         given, **held, free=frozenset(names), index_kind="constant" if "index" in names else None
     )
-    parameters = _free(given, sample, names, held)
+    parameters = free_parameters(given, sample, names, held)
     source = Path(given.measurement)
     return Request(
         scene=seen(sample, measurement),
@@ -99,8 +99,20 @@ def _held(given: argparse.Namespace) -> dict[str, float]:
     return held
 
 
-def _free(given: argparse.Namespace, sample: scenes.Sample, names: list[str], held: dict[str, float]) -> list[Any]:
-    """The free parameters; without any named, the surface's own."""
+def free_parameters(
+    given: argparse.Namespace, sample: scenes.Sample, names: list[str], held: dict[str, float]
+) -> list[Any]:
+    """The free parameters; without any named, the surface's own.
+
+    Args:
+        given: the options.
+        sample: what is fitted.
+        names: of the free parameters.
+        held: what is fixed, and its value.
+
+    Raises:
+        ValueError: an option has no effect or contradicts another.
+    """
     own = words.OWN_PARAMETER[given.surface]
     ranges = {name: getattr(given, f"{name}_range") for name in ("angle", "roughness", "index")}
     for name in names:

@@ -72,9 +72,9 @@ def of_options(given: argparse.Namespace, **more: Any) -> Sample:
     )
 
 
-def known_sample(given: argparse.Namespace) -> Sample:
+def known_sample(given: argparse.Namespace, **more: Any) -> Sample:
     """The sample of a command that computes: its own parameter must be given, the other's must not."""
-    sample = of_options(given, angle=given.angle, roughness=given.roughness)
+    sample = of_options(given, angle=given.angle, roughness=given.roughness, **more)
     own = words.OWN_PARAMETER[given.surface]
     for name in ("angle", "roughness"):
         if getattr(given, name) is not None:

@@ -159,6 +159,49 @@ def azimuths(text: str) -> list[float]:
     return _directions(text, 360.0, "azimuths from -360 to 360 degrees such as 0,90, each once")
 
 
+def polar_grid(text: str) -> list[float]:
+    """View angles from the mean normal in degrees, with commas or as START:STOP:STEP, both ends included."""
+    return _angle_grid(text, 89.0, "view angles from -89 to 89 degrees such as 0:80:5 or 0,30,60, each once")
+
+
+def azimuth_grid(text: str) -> list[float]:
+    """View azimuths in degrees, with commas or as START:STOP:STEP, both ends included."""
+    return _angle_grid(text, 360.0, "azimuths from -360 to 360 degrees such as 0,45,90 or 0:90:15, each once")
+
+
+def _angle_grid(text: str, limit: float, expected: str) -> list[float]:
+    if ":" not in text:
+        return _directions(text, limit, expected)
+    parts = [finite(part) for part in text.split(":")]
+    _require(0.0, len(parts) == 3, text, expected)
+    start, stop, step = parts
+    _require(0.0, -limit <= start <= stop <= limit and step > 0, text, expected)
+    steps = (stop - start) / step
+    _require(0.0, abs(steps - round(steps)) < 1e-6, text, f"a step that leads from {start:g} to {stop:g}")
+    _require(0.0, steps < 1000, text, "at most 1000 angles")
+    return [start + step * i for i in range(round(steps))] + [stop]
+
+
+def direction(text: str) -> tuple[float, float]:
+    """One direction in degrees, POLAR,AZIMUTH; the azimuth is 0 unless given."""
+    expected = "POLAR,AZIMUTH in degrees, such as 0,0 or 60,90, less than 90 degrees from the normal"
+    parts = [finite(part) + 0.0 for part in text.split(",")]
+    _require(0.0, len(parts) <= 2, text, expected)
+    polar, azimuth = parts[0], (parts[1] if len(parts) == 2 else 0.0)
+    _require(0.0, abs(polar) < 90 and abs(azimuth) <= 360, text, expected)
+    return polar, azimuth
+
+
+def half_width(text: str) -> tuple[float, str]:
+    """A half-width of at least 0 and its unit: "deg", "rad" or none."""
+    expected = "a half-width of at least 0, such as 3deg, or 0.05 of a roughness"
+    match = re.fullmatch(r"(.+?)\s*(deg|°|rad)?", text.strip())
+    _require(0.0, match is not None, text, expected)
+    assert match is not None
+    value = finite(match[1])
+    return _require(value, value >= 0, text, expected), {"°": "deg", None: ""}.get(match[2], match[2])
+
+
 def _directions(text: str, limit: float, expected: str) -> list[float]:
     # Adding 0.0 turns -0.0 into 0.0.
     values = [finite(part) + 0.0 for part in text.split(",")]

@@ -479,10 +479,10 @@ def test_float32_is_said_once(monkeypatch):
     monkeypatch.setattr(solve, "_warned_of_float32", False)
     with jax.enable_x64(False):
         with pytest.warns(UserWarning, match="float32"):
-            solve._warn_of_float32()
+            solve.warn_of_float32()
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            solve._warn_of_float32()
+            solve.warn_of_float32()
 
 
 @pytest.mark.slow
