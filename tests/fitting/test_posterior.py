@@ -196,7 +196,8 @@ import jax; jax.config.update("jax_enable_x64", True)
 import sys; sys.path.insert(0, sys.argv[1])
 from test_posterior import *
 truth = 1.01 * model(63, vc.Specular(GOLD)) + 0.001
-sample_posterior(fit(scene_of(70, vc.Specular(GOLD)), noisy(truth, 5), BENCH), "emcee", steps=100000, chain=sys.argv[2])
+result = fit(scene_of(70, vc.Specular(GOLD)), noisy(truth, 5), BENCH)
+sample_posterior(result, "emcee", steps=100000, chain=sys.argv[2])
 """
 
 
