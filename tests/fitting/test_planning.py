@@ -32,15 +32,22 @@ def polar_deg(plan):
     return np.degrees(plan.polar).round().tolist()
 
 
-def dense_covariance(angle, polar, gain_prior=None):
-    """Of the angle, the gain (if it has a prior) and the spectrum of a matte groove, by the full Jacobian."""
-    view = vc.View(np.asarray(polar), np.zeros(len(polar)))
+@jax.jit
+def dense_jacobian(unknown, polar):
+    """Of the angle, the gain and the spectrum of a matte groove: all columns, one by one."""
 
     def recorded(unknown):
+        view = vc.View(polar, jnp.zeros_like(polar))
         scene = vc.Scene(vc.VGrooves(unknown[0]), vc.Lambertian(unknown[2:]), vc.Diffuse(), view)
         return (unknown[1] * vc.reflectance_factor(scene)).ravel()
 
-    jacobian = np.asarray(jax.jacfwd(recorded)(jnp.asarray([angle, 1.0, *RED]))) / SIGMA
+    return jax.jacfwd(recorded)(unknown)
+
+
+def dense_covariance(angle, polar, gain_prior=None):
+    """Of the angle, the gain (if it has a prior) and the spectrum."""
+    every = [dense_jacobian(jnp.asarray([angle, 1.0, *RED]), jnp.asarray([one])) for one in polar]
+    jacobian = np.concatenate(every) / SIGMA
     information = jacobian.T @ jacobian
     if gain_prior is None:
         information = np.delete(np.delete(information, 1, 0), 1, 1)
@@ -72,7 +79,7 @@ def test_errors_of_a_roughness_are_those_of_the_dense_jacobian():
 
     scene = vc.Scene(vc.BeckmannGrooves(0.4), vc.Lambertian(RED), vc.Diffuse(), vc.View())
     plan = plan_views(scene, [free.roughness()], view, 3, SIGMA)
-    slope = np.asarray(jax.jacfwd(recorded)(jnp.asarray(0.4)))
+    slope = np.asarray(jax.jit(jax.jacfwd(recorded))(jnp.asarray(0.4)))
     assert plan.standard_errors["roughness"][-1] == pytest.approx(SIGMA / np.linalg.norm(slope), rel=1e-6)
     assert plan.units["roughness"] == "1"
     # 1 % of the logarithmic range from 0.01 to 3.
@@ -128,7 +135,7 @@ def test_what_is_measured_counts():
     assert plan.identifiable["angle"].tolist() == [False, True]
     whole = plan_views(matte(), parameters, FAN, 2, SIGMA, wavelengths_nm=BAND)
     assert plan.standard_errors["angle"][1] == pytest.approx(whole.standard_errors["angle"][2], rel=1e-9)
-    data = Measurement(BAND, [0.0], [0.0], np.full((1, 5), 0.3), np.full((1, 5), SIGMA / 3))
+    data = Measurement(BAND, np.zeros(1), np.zeros(1), np.full((1, 5), 0.3), np.full((1, 5), SIGMA / 3))
     finer = plan_views(matte(), parameters, FAN, 1, SIGMA, measured=data)
     assert polar_deg(finer) == [80]
     assert finer.standard_errors["angle"][1] < plan.standard_errors["angle"][1]
@@ -290,7 +297,7 @@ def test_stray_light_is_seen_against_the_models_own_mean():
         true = vc.reflectance_factor(scene)
         return (0.98 * true).ravel()
 
-    slope = np.asarray(jax.jacfwd(recorded)(jnp.asarray(np.radians(60))))
+    slope = np.asarray(jax.jit(jax.jacfwd(recorded))(jnp.asarray(np.radians(60))))
     information = np.stack([slope, slope_of_stray]) @ np.stack([slope, slope_of_stray]).T / SIGMA**2
     information[1, 1] += 1 / 0.01**2
     assert plan.standard_errors["angle"][-1] == pytest.approx(np.sqrt(np.linalg.inv(information)[0, 0]), rel=1e-6)
@@ -351,7 +358,7 @@ def test_a_plan_is_written(tmp_path):
     [
         ({"count": 0}, "count is 0; expected a whole number from 1 to 9"),
         ({"count": 10}, "count is 10; expected a whole number from 1 to 9"),
-        ({"count": 1.5}, "count is 1.5; expected a whole number"),
+        ({"count": True}, "count is True; expected a whole number"),
         ({"noise": 0.0}, "noise is 0; expected positive numbers"),
         ({"noise": np.array([0.1, 0.1, np.nan, 0.1, 0.1])}, "noise is nan; expected positive"),
         ({"noise": np.ones(3)}, r"noise has shape \(3,\); expected one number"),
@@ -390,7 +397,7 @@ def test_bad_input_is_told_in_one_line(change, said):
 
 def test_a_light_that_the_material_cannot_take():
     lights = {"lamp": (vc.Directional(0.5), FAN)}
-    with pytest.raises(ValueError, match=r"candidates\['lamp'\]: .*delta"):
+    with pytest.raises(ValueError, match="a specular groove under directional light, seen from one direction"):
         plan_views(grooves(60, vc.Specular(GOLD)), [free.angle()], lights, 1, SIGMA)
 
 
