@@ -69,18 +69,21 @@ def test_errors_are_those_of_the_dense_jacobian(gain_prior):
             assert plan.standard_errors["gain"][views] == pytest.approx(errors[1], rel=1e-7)
 
 
-def test_errors_of_a_roughness_are_those_of_the_dense_jacobian():
-    view = vc.View(np.radians([0.0, 40.0, 75.0]), np.zeros(3))
+def test_errors_of_a_roughness_are_those_of_finite_differences():
+    view = vc.View(np.radians([0.0, 75.0]), np.zeros(2))
 
-    def recorded(roughness):
+    @jax.jit
+    def seen(roughness):
         return vc.reflectance_factor(
             vc.Scene(vc.BeckmannGrooves(roughness), vc.Lambertian(RED), vc.Diffuse(), view)
         )
 
     scene = vc.Scene(vc.BeckmannGrooves(0.4), vc.Lambertian(RED), vc.Diffuse(), vc.View())
-    plan = plan_views(scene, [free.roughness()], view, 3, SIGMA)
-    slope = np.asarray(jax.jit(jax.jacfwd(recorded))(jnp.asarray(0.4)))
-    assert plan.standard_errors["roughness"][-1] == pytest.approx(SIGMA / np.linalg.norm(slope), rel=1e-6)
+    plan = plan_views(scene, [free.roughness()], view, 2, SIGMA)
+    step = 1e-3
+    slope = np.asarray(seen(jnp.asarray(0.4 + step)) - seen(jnp.asarray(0.4 - step))) / (2 * step)
+    # Differences err by the square of the step.
+    assert plan.standard_errors["roughness"][-1] == pytest.approx(SIGMA / np.linalg.norm(slope), rel=1e-4)
     assert plan.units["roughness"] == "1"
     # 1 % of the logarithmic range from 0.01 to 3.
     assert plan.spread["roughness"] == pytest.approx(0.4 * 0.01 * np.log(300))
@@ -270,35 +273,40 @@ def test_the_light_is_chosen_too():
     lights = {
         "sphere": (vc.Diffuse(), vc.View(np.radians([0.0, 8.0]), 0.0)),
         "lamp": (vc.Directional(np.radians(50.0)), vc.View(np.radians([-30.0, 0.0, 30.0, 60.0]), 0.0)),
-        "collected": (vc.Directional(np.radians(70.0)), vc.Hemisphere()),
     }
     plan = plan_views(matte(60), [free.angle(), free.reflectance()], lights, 3, SIGMA)
     assert plan.all_identifiable
     assert {view.light for view in plan.views} <= set(lights)
-    assert len(plan.candidates) == 7
+    assert len(plan.candidates) == 6
     assert "lamp" in plan.lights
     alone = plan_views(matte(60), [free.angle(), free.reflectance()], lights["sphere"][1], 2, SIGMA)
     assert not alone.all_identifiable  # d:0 and d:8 see the same.
-    own = plan_views(matte(60), [free.angle(), free.gain().separate()], lights, 2, SIGMA)
-    assert {"gain[sphere]", "gain[lamp]", "gain[collected]"} <= set(own.standard_errors)
-    everything = plan_views(matte(60), [free.angle()], {"collected": lights["collected"]}, 1, SIGMA)
-    assert "all" in everything.summary()
+
+
+def test_all_light_may_be_collected():
+    lights = {
+        "sphere": (vc.Diffuse(), vc.View(0.0)),
+        "collected": (vc.Directional(np.radians(70.0)), vc.Hemisphere()),
+    }
+    plan = plan_views(matte(60), [free.angle(), free.gain().separate()], lights, 2, SIGMA)
+    assert {"gain[sphere]", "gain[collected]"} <= set(plan.standard_errors)
+    assert "all" in plan.summary()
+    # By reciprocity it is a view at 70 degrees in diffuse light.
+    same = plan_views(matte(60), [free.angle()], vc.View(np.radians(70.0)), 1, SIGMA)
+    only = plan_views(matte(60), [free.angle()], {"collected": lights["collected"]}, 1, SIGMA)
+    assert only.standard_errors["angle"][-1] == pytest.approx(same.standard_errors["angle"][-1], rel=1e-6)
 
 
 def test_stray_light_is_seen_against_the_models_own_mean():
     plan = plan_views(
         matte(60), [free.angle(), free.stray_light(prior=(0.02, 0.01))], FAN, 2, SIGMA, wavelengths_nm=BAND
     )
-    factor = np.asarray(vc.reflectance_factor(vc.Scene(*_parts(matte(60)), vc.View(plan.polar, plan.azimuth))))
-    slope_of_stray = (factor.mean(axis=1, keepdims=True) - factor).ravel()
-
-    def recorded(angle):
-        scene = vc.Scene(vc.VGrooves(angle), vc.Lambertian(RED), vc.Diffuse(), vc.View(plan.polar, plan.azimuth))
-        true = vc.reflectance_factor(scene)
-        return (0.98 * true).ravel()
-
-    slope = np.asarray(jax.jit(jax.jacfwd(recorded))(jnp.asarray(np.radians(60))))
-    information = np.stack([slope, slope_of_stray]) @ np.stack([slope, slope_of_stray]).T / SIGMA**2
+    seen = vc.View(plan.polar, plan.azimuth)
+    factor = np.asarray(vc.reflectance_factor(vc.Scene(*_parts(matte(60)), seen)))
+    unknown = jnp.asarray([np.radians(60), 1.0, *RED])
+    slope = np.concatenate([dense_jacobian(unknown, jnp.asarray([one]))[:, 0] for one in plan.polar])
+    columns = np.stack([0.98 * slope, (factor.mean(axis=1, keepdims=True) - factor).ravel()]) / SIGMA
+    information = columns @ columns.T
     information[1, 1] += 1 / 0.01**2
     assert plan.standard_errors["angle"][-1] == pytest.approx(np.sqrt(np.linalg.inv(information)[0, 0]), rel=1e-6)
 
