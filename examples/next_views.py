@@ -2,9 +2,9 @@
 
     python examples/next_views.py [OUTDIR]
 
-writes next_views.png into OUTDIR (a new temporary folder by default) and prints a table. The reflectance of a matte
-sample, and n and k of gold, are unknown at each wavelength; values have a noise of 0.005 in diffuse light. The
-planned views are best for the worst angle within 2 degrees. Where a curve ends, the angle is not identifiable.
+writes next_views.png into OUTDIR (a new temporary folder by default) and prints a table. The reflectance of a
+matte sample, and n and k of gold, are unknown at each wavelength; values have a noise of 0.005 in diffuse light.
+The planned views are best for the worst angle within 2 degrees. Where a curve ends, the angle is not identifiable.
 """
 # ruff: noqa: RUF001 (the labels are typeset: Greek letters)
 

@@ -2,6 +2,8 @@
 
 import itertools
 import json
+import re
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -446,3 +448,17 @@ def test_exchange_leaves_what_greed_cannot():
     start = exchange.greedy(order, range(3), 2)
     assert start == [0, 1]
     assert sorted(exchange.exchange(order, range(3), start)) == [1, 2]
+
+
+def test_the_example_of_the_page_runs(monkeypatch, capsys, tmp_path):
+    root = Path(__file__).parents[2]
+    (example,) = re.findall(
+        r"^```python\n(.*?)^```$", (root / "docs" / "planning.md").read_text(), re.DOTALL | re.MULTILINE
+    )
+    monkeypatch.chdir(root)
+    shared: dict[str, object] = {}
+    exec(example.replace('"next.png"', repr(str(tmp_path / "next.png"))), shared)
+    assert "every parameter is identifiable" in capsys.readouterr().out
+    before, *_, after = shared["plan"].standard_errors["angle"]
+    assert after < before < np.inf
+    assert (tmp_path / "next.png").exists()
