@@ -4,6 +4,7 @@ The information of independent values adds up, and so does that of views: each c
 Jacobian with itself, block by block as in ``arrow``, and those of a set of views are their sum.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -90,7 +91,8 @@ class Expected:
         if not self.problem.layout.free_spectra:
             return numbers, np.zeros((len(matrix), 0, matrix.shape[1]))
         rows = normal.response
-        shared = _determined_variance(normal, rows.reshape(len(matrix), -1, count)).reshape(rows.shape[:-1])
+        flat = rows.reshape(len(matrix), rows.shape[1] * rows.shape[2], count)
+        shared = _determined_variance(normal, flat).reshape(rows.shape[:-1])
         own = np.diagonal(normal.alone, axis1=2, axis2=3)
         spectra = np.sqrt(np.where(normal.determined[..., None], own + shared, np.inf)).transpose(0, 2, 1)
         return numbers, np.where(spectra > spectral_width[:, None] / 2, np.inf, spectra)
@@ -184,7 +186,8 @@ class Expected:
         count, blocks = normal.response.shape[:2]
         chosen = np.array(goal.spectra)
         width = spectral_width[chosen]
-        response = -(normal.response[:, :, chosen] / width[:, None]).reshape(count, -1, covariance.shape[-1])
+        response = -(normal.response[:, :, chosen] / width[:, None])
+        response = response.reshape(count, blocks * len(chosen), covariance.shape[-1])
         own = normal.alone[:, :, chosen[:, None], chosen] / (width[:, None] * width)
         whole = np.zeros((count, blocks, len(chosen), blocks, len(chosen)))
         each = np.arange(blocks)
@@ -216,12 +219,14 @@ def expect(
     """
     layout, data = problem.layout, problem.data
     dtype = data.center.dtype
-    program = jax.jit(lambda natural, spectra, data: _rows(layout, natural, spectra, data))
     width = values.shape[1] + layout.free_spectra
+    own = jnp.asarray(spectra, dtype)
+    point = jax.ShapeDtypeStruct((values.shape[1],), dtype)
+    program = problem.programs.once("rows", functools.partial(_rows, problem.programs.layout), point, own, data)
     offered = {part for part, _ in candidates}
     measured, each = [], []
     for natural in problem.natural(values):
-        parts = program(jnp.asarray(natural, dtype), jnp.asarray(spectra, dtype), data)
+        parts = program(jnp.asarray(natural, dtype), own, data)
         found = [_products(layout, i, np.asarray(rows, np.float64), width) for i, rows in enumerate(parts)]
         base = np.zeros(found[0].shape[1:])
         for i, products in enumerate(found):

@@ -6,6 +6,7 @@ directions, starts at once, whatever its material.
 """
 
 from collections import OrderedDict
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
@@ -99,6 +100,18 @@ class Programs:
         """The program of ``begin_descent``."""
         self.begin_descent(data, lanes, batched, cheap)
         return self.compiled["descent", lanes, batched].result()
+
+    def once(self, name: str, program: Callable[..., Any], *examples: Any) -> Any:
+        """A program that runs too little to be worth optimizing, compiled for the shapes of some arguments.
+
+        Args:
+            name: under which it is kept: it must depend on nothing but the layout and its arguments.
+            program: what is compiled.
+            examples: arguments, or their shapes.
+        """
+        options = _CHEAP_TO_COMPILE if self.quick else None
+        self._begin(name, lambda: jax.jit(program).lower(*examples), options)
+        return self.compiled[name].result()
 
     def _begin(self, name: Any, lower: Any, options: dict[str, Any] | None) -> None:
         """Compile a program in the background, unless that has been done.
