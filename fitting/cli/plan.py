@@ -4,6 +4,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -66,7 +67,7 @@ def run(given: argparse.Namespace) -> int:
     return 1
 
 
-def _called(light: tuple[object, ...]) -> str:
+def _called(light: tuple[Any, ...]) -> str:
     """A light in the words of the command line."""
     kind, *angles = light
     return f"{kind}:{','.join(files.number(angle) for angle in angles)}" if angles else str(kind)
