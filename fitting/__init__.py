@@ -10,6 +10,9 @@ if TYPE_CHECKING:
     from fitting import free as free
     from fitting import priors as priors
     from fitting import spectra as spectra
+    from fitting.comparison import Comparison as Comparison
+    from fitting.comparison import compare_models as compare_models
+    from fitting.comparison import compare_results as compare_results
     from fitting.many import ManyResult as ManyResult
     from fitting.many import fit_many as fit_many
     from fitting.measurement import Measurement as Measurement
@@ -22,18 +25,21 @@ if TYPE_CHECKING:
     from fitting.profile import profile_likelihood as profile_likelihood
     from fitting.recovery import Recovery as Recovery
     from fitting.recovery import recover_reflectance as recover_reflectance
+    from fitting.residuals import residual_structure as residual_structure
     from fitting.result import Estimate as Estimate
     from fitting.result import FitResult as FitResult
     from fitting.result import Minimum as Minimum
     from fitting.result import SpectralEstimate as SpectralEstimate
     from fitting.rival import Rival as Rival
     from fitting.rival import refit_with_rival as refit_with_rival
+    from fitting.rival import rivals as rivals
     from fitting.sampling import sample_posterior as sample_posterior
     from fitting.solve import fit as fit
     from fitting.view_plan import PlannedView as PlannedView
     from fitting.view_plan import ViewPlan as ViewPlan
 
 _HOMES = {
+    "Comparison": "fitting.comparison",
     "Estimate": "fitting.result",
     "FitResult": "fitting.result",
     "ManyResult": "fitting.many",
@@ -48,6 +54,8 @@ _HOMES = {
     "SpectralEstimate": "fitting.result",
     "SpectralParameter": "fitting.parameters",
     "ViewPlan": "fitting.view_plan",
+    "compare_models": "fitting.comparison",
+    "compare_results": "fitting.comparison",
     "fit": "fitting.solve",
     "fit_many": "fitting.many",
     "plan_views": "fitting.planning",
@@ -55,11 +63,14 @@ _HOMES = {
     "read_spectrum": "fitting.measurement",
     "recover_reflectance": "fitting.recovery",
     "refit_with_rival": "fitting.rival",
+    "residual_structure": "fitting.residuals",
+    "rivals": "fitting.rival",
     "sample_posterior": "fitting.sampling",
 }
 _MODULES = ("free", "priors", "spectra")
 
 __all__ = [
+    "Comparison",
     "Estimate",
     "FitResult",
     "ManyResult",
@@ -74,6 +85,8 @@ __all__ = [
     "SpectralEstimate",
     "SpectralParameter",
     "ViewPlan",
+    "compare_models",
+    "compare_results",
     "fit",
     "fit_many",
     "free",
@@ -83,6 +96,8 @@ __all__ = [
     "read_spectrum",
     "recover_reflectance",
     "refit_with_rival",
+    "residual_structure",
+    "rivals",
     "sample_posterior",
     "spectra",
 ]

@@ -56,7 +56,7 @@ def build(
         ValueError: anything that does not fit together, in one line.
     """
     labels, scenes, measurements = _paired(scene, measurement)
-    uses = _spread(_flattened(parameters), labels)
+    uses = _spread(flattened(parameters), labels)
     scenes = tuple(_seen(s, m, _of(labels, i)) for i, (s, m) in enumerate(zip(scenes, measurements, strict=True)))
     measurements = _with_uncertainty(measurements, standard_uncertainty)
     _check_instrument(uses, scenes, labels)
@@ -110,7 +110,7 @@ def build(
     owners = [(u, q) for u in spectral if u.parameter.form is None for q in range(len(u.parameter.quantities))]
     data = _data(layout, measurements, named, owners)
     problem = Problem(
-        given=tuple(_flattened(parameters)),
+        given=tuple(flattened(parameters)),
         labels=labels,
         measurements=measurements,
         numbers=named,
@@ -175,7 +175,7 @@ def _of(labels: tuple[str, ...], index: int) -> str:
     return "" if len(labels) == 1 else f"measurement {labels[index]!r}: "
 
 
-def _flattened(parameters: Any) -> list[Any]:
+def flattened(parameters: Any) -> list[Any]:
     """The parameters, with those that come in pairs put one after the other."""
     single = isinstance(parameters, Parameter | SpectralParameter)
     if single or not isinstance(parameters, Sequence):

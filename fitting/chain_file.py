@@ -4,14 +4,16 @@ Space is allocated ahead, so that storing a step only overwrites numbers; the co
 file is as emcee's own backend lays it out, and ``emcee.backends.HDFBackend`` reads it when the chain has ended.
 """
 
+import io
 import os
-import secrets
 from pathlib import Path
 from typing import Any
 
 import emcee
 import h5py
 import numpy as np
+
+from fitting import files
 
 GROUP = "mcmc"
 _FIRST_STEPS = 1000
@@ -73,39 +75,33 @@ class ChainFile(emcee.backends.Backend):
 
     def _allocate(self, steps: int) -> None:
         """Write all that is known to a new file with room for more, and put it in the place of the old one."""
-        part = self.path.with_name(f".{self.path.name[:100]}.{secrets.token_hex(4)}")
-        try:
-            with h5py.File(part, "w") as file:
-                group = file.create_group(GROUP)
-                group.attrs.update(
-                    version=emcee.__version__,
-                    nwalkers=self.nwalkers,
-                    ndim=self.ndim,
-                    has_blobs=False,
-                    iteration=self.iteration,
-                    problem=self._problem,
-                    names=", ".join(self._names),
-                )
-                shapes = {
-                    "chain": (steps, self.nwalkers, self.ndim),
-                    "log_prob": (steps, self.nwalkers),
-                    "accepts": (2, self.nwalkers),
-                }
-                for name, shape in shapes.items():
-                    group.create_dataset(name, data=np.full(shape, np.nan))
-                group.create_dataset("accepted", data=self.accepted)
-                group.create_dataset("states", data=np.zeros((2, _KEYS + 3)))
-                group.create_dataset("stored", data=np.array([self.iteration]))
-                group["chain"][: self.iteration] = self.chain[: self.iteration]
-                group["log_prob"][: self.iteration] = self.log_prob[: self.iteration]
-                if self.iteration:
-                    self._store_state(group, self.iteration)
-            os.replace(part, self.path)
-        except OSError as error:
-            reason = error.strerror or str(error).split("\n")[0]
-            raise OSError(f"{self.path}: cannot write the chain ({reason}); expected a place for a file") from None
-        finally:
-            part.unlink(missing_ok=True)
+        contents = io.BytesIO()  # HDF5 itself speaks of a full disk only when a file is closed
+        with h5py.File(contents, "w") as file:
+            group = file.create_group(GROUP)
+            group.attrs.update(
+                version=emcee.__version__,
+                nwalkers=self.nwalkers,
+                ndim=self.ndim,
+                has_blobs=False,
+                iteration=self.iteration,
+                problem=self._problem,
+                names=", ".join(self._names),
+            )
+            shapes = {
+                "chain": (steps, self.nwalkers, self.ndim),
+                "log_prob": (steps, self.nwalkers),
+                "accepts": (2, self.nwalkers),
+            }
+            for name, shape in shapes.items():
+                group.create_dataset(name, data=np.full(shape, np.nan))
+            group.create_dataset("accepted", data=self.accepted)
+            group.create_dataset("states", data=np.zeros((2, _KEYS + 3)))
+            group.create_dataset("stored", data=np.array([self.iteration]))
+            group["chain"][: self.iteration] = self.chain[: self.iteration]
+            group["log_prob"][: self.iteration] = self.log_prob[: self.iteration]
+            if self.iteration:
+                self._store_state(group, self.iteration)
+        files.write(self.path, contents.getvalue())
         if self._file is not None:
             self._file.close()
         self._file = h5py.File(self.path, "r+")

@@ -1,8 +1,10 @@
 """What is written: numbers that read back the same, files that are whole or not there."""
 
+import json
 import os
 import secrets
 from pathlib import Path
+from typing import Any
 
 
 def number(value: float) -> str:
@@ -35,3 +37,16 @@ def write(path: str | os.PathLike[str], contents: str | bytes) -> None:
         raise type(error)(f"{path}: cannot write ({error.strerror}); expected a place for a file") from None
     finally:
         part.unlink(missing_ok=True)
+
+
+def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
+    """Write strict JSON, whole or not at all.
+
+    Args:
+        path: the file.
+        content: only what JSON knows; no NaN.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    write(path, json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n")

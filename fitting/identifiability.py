@@ -5,13 +5,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from scipy.special import gammaincc, stdtrit  # type: ignore[import-untyped]
 
 import vcavity_jax as vc
 from fitting.blind_spots import blind_spots, more_to_measure
 from fitting.information import LocalInformation
 from fitting.problem import Problem
+from fitting.residuals import structure_in
 from fitting.result import Estimate, Minimum, SpectralEstimate
 from fitting.spectra import Smooth
 
@@ -19,8 +19,6 @@ WEAK = 0.05
 """Smallest singular value of the scaled Jacobian below which parameters are hardly told apart."""
 
 _BAD_FIT = 1e-3
-_ONE_IN_A_THOUSAND = 3.09
-_ROUNDING = 1e-5
 _ADVICE: dict[type, str] = {
     vc.Lambertian: "; if the sample is glossy, varnished or printed, model its interface: "
     "vcavity_jax.InterfacedLambertian, or --material interfaced"
@@ -77,7 +75,7 @@ def find_warnings(
         uncertainty_estimated: sigma is not known but estimated.
         branches: wavelengths at which other values of the free spectra fit as well.
     """
-    found = _fit_quality(problem, residuals, chi_square, uncertainty_estimated)
+    found = _fit_quality(problem, estimates, residuals, chi_square, uncertainty_estimated)
     found += blind_spots(problem, estimates)
     if len(minima) > 1:
         found.append(
@@ -129,20 +127,12 @@ def _spectral_doubts(name: str, estimate: SpectralEstimate) -> list[str]:
     return found
 
 
-def go_together(residuals: Float[np.ndarray, "d l"]) -> bool:
-    """Whether residuals at neighboring wavelengths are too much alike for noise, at one in a thousand.
-
-    Their correlation is compared with that of independent values. Misfits of the size of rounding say nothing.
-    """
-    products = residuals[:, 1:] * residuals[:, :-1]
-    pairs, power = np.sum(np.isfinite(products)), np.nanmean(residuals**2)
-    if not pairs or power < _ROUNDING**2:
-        return False
-    return bool(np.nansum(products) > _ONE_IN_A_THOUSAND * np.sqrt(pairs) * power)
-
-
 def _fit_quality(
-    problem: Problem, residuals: Sequence[np.ndarray], chi_square: float, uncertainty_estimated: bool
+    problem: Problem,
+    estimates: Mapping[str, Any],
+    residuals: Sequence[np.ndarray],
+    chi_square: float,
+    uncertainty_estimated: bool,
 ) -> list[str]:
     found = []
     dof = problem.degrees_of_freedom
@@ -158,17 +148,15 @@ def _fit_quality(
             f"the measurement states no uncertainty: {rms_misfit:.2g} is estimated from the residuals, as if "
             "the model were right; give a standard uncertainty to test it"
         )
-        if any(go_together(r) for r in residuals):
-            found.append(
-                "the residuals are not noise, because neighboring wavelengths go together: the model describes "
-                f"this spectrum only to about {rms_misfit:.2g}; standard errors are not to be trusted{advice}"
-            )
     elif not describes_data(chi_square, dof, uncertainty_estimated):
         found.append(
             f"the model does not describe this spectrum: chi-square per degree of freedom "
             f"{chi_square / dof:.2g}, rms misfit {rms_misfit:.2g}; values and standard errors are not to be "
             f"trusted{advice}"
         )
+    structure = structure_in(problem, residuals, estimates)
+    if structure is not None and structure.structured:
+        found.append(structure.sentence() + ("" if any(advice in told for told in found) else advice))
     for index, measurement in enumerate(problem.measurements):
         found += _beyond_energy(problem, index, measurement.hemispherical)
     return found

@@ -1,7 +1,6 @@
 """What came out of a fit, in Python and as text."""
 
 import dataclasses
-import json
 import math
 from dataclasses import dataclass, field
 from os import PathLike
@@ -281,8 +280,8 @@ class FitResult:
             **self._scenes(),
             "version": __version__,
         }
-        plain: dict[str, Any] = _plain(content)
-        return plain
+        shown: dict[str, Any] = plain(content)
+        return shown
 
     def _shown(self, values: dict[str, float]) -> dict[str, Any]:
         return {name: self.estimates[name].displayed(value) for name, value in values.items()}
@@ -300,7 +299,7 @@ class FitResult:
         Raises:
             OSError: the file cannot be written.
         """
-        files.write(path, to_text(self.to_dict()) + "\n")
+        files.write_json(path, self.to_dict())
 
     def plot(self, path: str | PathLike[str]) -> None:
         """Draw the fit and its profiles to a picture file.
@@ -312,11 +311,6 @@ class FitResult:
         from fitting.plots import plot_fit
 
         plot_fit(self, path)
-
-
-def to_text(content: dict[str, Any]) -> str:
-    """Strict JSON, to be read by people too."""
-    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
 
 
 def _spectral_row(name: str, estimate: SpectralEstimate) -> tuple[str, ...]:
@@ -375,12 +369,12 @@ def _scene_part(part: Any) -> dict[str, Any]:
     return described
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Only what JSON knows: arrays become lists, numbers that are not finite None."""
     if isinstance(value, dict):
-        return {key: _plain(entry) for key, entry in value.items()}
+        return {key: plain(entry) for key, entry in value.items()}
     if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
+        return [plain(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -130,6 +130,23 @@ def sample_posterior(
     return _of_draws(result, own, drawn, method, generator)
 
 
+def log_evidence(result: FitResult) -> float | None:
+    """Logarithm of the likelihood of a fit's values averaged over the priors of its parameters.
+
+    Args:
+        result: of ``fit``. Where it had to estimate the uncertainty, that is averaged over, too.
+
+    Returns:
+        None if a prior has no finite volume: a parameter without bounds needs one.
+
+    Raises:
+        ValueError: the fit has no free number, or does not determine its numbers.
+    """
+    own = density(result.problem, result.found.minima.spectra[0], result.uncertainty_estimated)
+    method = "nested" if own.numbers and reason_against(result, own) is None else "importance"
+    return sample_posterior(result, method).log_evidence
+
+
 def _whole(name: str, value: Any, least: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < least:
         raise ValueError(f"{name} is {value!r}; expected a whole number of at least {least}")

@@ -134,7 +134,7 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
         "--config",
         metavar="FILE",
         help="take measurements, surface and parameters from this file (TOML, see docs/parameters.md) instead "
-        "of options; --output, --json and --tolerance may stand beside it",
+        "of options; --output, --json, --compare, --posterior and --tolerance may stand beside it",
     )
     add_scene_options(fit, defaults=False)
     what = add_free_options(fit)
@@ -182,6 +182,11 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
         help="folder for fit.json and fit.png (default: beside the measurement or FILE, <name>-fit/)",
     )
     output.add_argument("--json", action="store_true", help="print the JSON alone")
+    output.add_argument(
+        "--compare",
+        action="store_true",
+        help="fit the models most easily taken for this one as well, and say which one the data prefer",
+    )
     add_tolerance(fit, None)
     fit.add_argument(
         "--max-steps", type=words.count, metavar="N", help="most steps of each descent to a minimum (default: 60)"

@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from fitting import FitResult, files, fit, sample_posterior
+from fitting import FitResult, Measurement, compare_models, files, fit, rivals, sample_posterior
 from fitting.cli import arguments, messages, request
-from fitting.result import to_text
+from fitting.comparison import Comparison
 
 
 def run(given: argparse.Namespace) -> int:
@@ -24,6 +24,7 @@ def run(given: argparse.Namespace) -> int:
         raise ValueError(f"--{'sampler' if given.sampler else 'seed'} has no effect: expected --posterior with it")
     folder = asked.folder if given.output is None else Path(given.output)
     require_writable(folder)
+    models = _models(asked) if given.compare else None
     tolerance = {} if given.tolerance is None else {"tolerance": given.tolerance}
     options = {"tolerance": arguments.TOLERANCE} | asked.options | tolerance
 
@@ -31,19 +32,23 @@ def run(given: argparse.Namespace) -> int:
         result = fit(asked.scene, asked.measurement, asked.parameters, **options)
     except ValueError as error:
         raise ValueError(asked.explained(str(error))) from None
+    comparison = None if models is None else _compared(asked, models, options)
 
     folder.mkdir(parents=True, exist_ok=True)
     written = [folder / "fit.json", folder / "fit.png"]
-    result.to_json(written[0])
+    content = result.to_dict() | ({} if comparison is None else {"comparison": comparison.to_dict()})
+    files.write_json(written[0], content)
     result.plot(written[1])
     posterior = None
     if given.posterior:
         posterior = _sampled(result, given, folder, written)
-        files.write(written[0], to_text(result.to_dict() | {"posterior": posterior.to_dict()}) + "\n")
+        files.write_json(written[0], content | {"posterior": posterior.to_dict()})
     if given.json:
         print(written[0].read_text(encoding="utf-8").rstrip("\n"))
     else:
         print(result.summary())
+        if comparison is not None:
+            print("", comparison.summary(), sep="\n")
         if posterior is not None:
             print("", posterior.summary(), sep="\n")
         print(*(f"wrote {path}" for path in written), sep="\n")
@@ -70,14 +75,33 @@ def _sampled(result: FitResult, given: argparse.Namespace, folder: Path, written
     return posterior
 
 
+def _models(asked: request.Request) -> dict[str, Any]:
+    """What the measurement is compared under; refused before anything is fitted."""
+    if not isinstance(asked.measurement, Measurement):
+        raise ValueError("--compare with several measurements; expected one, whose model has rivals")
+    try:
+        return rivals(asked.scene)
+    except ValueError as error:
+        raise ValueError(f"--compare: {asked.explained(str(error))}") from None
+
+
+def _compared(asked: request.Request, models: dict[str, Any], options: dict[str, Any]) -> Comparison:
+    """The model beside its rivals."""
+    try:
+        return compare_models(models, asked.measurement, asked.parameters, **options)
+    except ValueError as error:
+        raise ValueError(f"--compare: {asked.explained(str(error))}") from None
+
+
 def _refuse_beside_config(given: argparse.Namespace) -> None:
     """Refuse the options that a config file stands for."""
-    allowed = {"command", "config", "measurement", "output", "json", "tolerance", "posterior", "sampler", "seed"}
+    allowed = {"command", "config", "measurement", "output", "json", "compare", "tolerance"}
+    allowed |= {"posterior", "sampler", "seed"}
     for name, value in vars(given).items():
         if name not in allowed and value is not None and value is not False and value != []:
             raise ValueError(
                 f"--{name.replace('_', '-')} beside --config {given.config}: expected it in the file; only "
-                "--output, --json, --tolerance and --posterior with its options may stand beside --config"
+                "--output, --json, --tolerance, --compare and --posterior with its options may stand beside it"
             )
 
 

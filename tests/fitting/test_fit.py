@@ -110,9 +110,11 @@ def test_varnished_cyan_taken_for_a_matte_one_is_flagged():
     assert (answer["status"], answer["describes_data"]) == ("converged", False)
     assert answer["message"] in result.summary()
     assert "do not trust it: the model does not describe the data" in answer["message"]
-    (warning,) = answer["warnings"]
-    assert "does not describe this spectrum" in warning
-    assert "--material interfaced" in warning
+    poor, structured = answer["warnings"]
+    assert "does not describe this spectrum" in poor
+    assert "--material interfaced" in poor
+    assert "neighboring wavelengths go together" in structured
+    assert "--material interfaced" not in structured  # Once is enough.
 
     # Without an uncertainty chi-square says nothing, but the residuals do not look like noise.
     silent = Measurement(m.wavelengths_nm, m.polar, m.azimuth, m.reflectance_factor)

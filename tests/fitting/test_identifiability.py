@@ -6,7 +6,7 @@ import pytest
 import vcavity_jax as vc
 from fitting import Estimate, Measurement, assembly, fit, free
 from fitting.blind_spots import blind_spots
-from fitting.identifiability import describes_data, go_together, p_value, threshold_95
+from fitting.identifiability import describes_data, p_value, threshold_95
 from fitting.information import local_information, normal_equations
 
 GOLD = np.array([1.46 + 1.95j, 0.97 + 1.87j, 0.4 + 2.6j, 0.17 + 3.2j])
@@ -63,19 +63,6 @@ def test_a_fit_is_poor_at_one_in_a_thousand():
     assert describes_data(29.60, 10, False) is False
     assert describes_data(1e6, 10, True) is None
     assert describes_data(0.0, 0, False) is None
-
-
-def test_noise_does_not_go_together():
-    noise = np.random.default_rng(0).standard_normal((4000, 3, 31))
-    alike = sum(go_together(one) for one in noise)
-    assert alike <= 10  # One in a thousand is 4; three binomial errors above.
-    drift = np.sin(np.linspace(0, 3, 31)) - 0.6
-    assert go_together(0.01 * drift + 0.003 * noise[0])
-    assert not go_together(1e-6 * drift + 1e-7 * noise[0])  # Rounding of the file.
-    assert not go_together(0.01 * noise[0, :, :1])
-    gap = 0.01 * drift + 0.003 * noise[1]
-    gap[1, 3:6] = np.nan
-    assert go_together(gap)
 
 
 def test_a_frontal_mirror_is_blind_beyond_120_degrees():

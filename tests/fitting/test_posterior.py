@@ -248,7 +248,7 @@ def test_a_chain_file_goes_on_where_it_stopped(bench, tmp_path):
     (tmp_path / "text.h5").write_text("no chain")
     with pytest.raises(ValueError, match=r"text.h5: is no chain"):
         sample_posterior(bench, "emcee", steps=60, chain=tmp_path / "text.h5")
-    with pytest.raises(OSError, match=r"nowhere.*cannot write the chain"):
+    with pytest.raises(OSError, match=r"nowhere.*cannot write"):
         sample_posterior(bench, "emcee", steps=60, chain=tmp_path / "nowhere" / "chain.h5")
 
 
