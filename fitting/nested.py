@@ -184,12 +184,10 @@ def _closed(density: Density, count: int, generator: np.random.Generator, result
         reach = 8 / math.sqrt(2 * free) * np.linspace(-1, 1, _LEVELS)
         levels = np.unique(np.clip(own + reach, low, high))
     prior = np.diag(tight**2)
-    evaluations = 0
+    seen: list[tuple[np.ndarray, ...]] = []
 
     def solved(places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Means, roots of the covariance and log densities at each place and noise level."""
-        nonlocal evaluations
-        evaluations += len(places)
         linear = _products(density, searched.from_natural(places))
         shrunk = np.exp(-2 * levels)[:, None, None]
         square = linear.square[:, None] * shrunk + prior
@@ -208,11 +206,14 @@ def _closed(density: Density, count: int, generator: np.random.Generator, result
         return mean, root, logs + _searched_prior(density, places)[:, None]
 
     def marginal(places: np.ndarray) -> np.ndarray:
-        logs = solved(places)[2]
+        seen.append((places, *solved(places)))
+        logs = seen[-1][-1]
         return logs[:, 0] if len(levels) == 1 else np.logaddexp.reduce(logs + _log_trapezoid(levels), axis=1)
 
     grid = _refined(_axis(result, density), marginal)
-    mean, root, logs = solved(grid.places)
+    places, mean, root, logs = (np.concatenate(column) for column in zip(*seen, strict=True))
+    known = np.argsort(places)[np.searchsorted(places, grid.places, sorter=np.argsort(places))]
+    mean, root, logs = mean[known], root[known], logs[known]
     left, share, log_marginal = grid.draw(count, generator)
     place = grid.places[left] + share * np.diff(grid.places)[left]
     level = np.zeros(count)
@@ -234,7 +235,7 @@ def _closed(density: Density, count: int, generator: np.random.Generator, result
     columns = [place[:, None], other] + ([level[:, None]] if noise else [])
     natural = np.concatenate(columns, axis=1)
     order = generator.permutation(count)
-    return Draws(natural[order], log_marginal[order], float(count), grid.log_integral, evaluations)
+    return Draws(natural[order], log_marginal[order], float(count), grid.log_integral, len(places))
 
 
 def _log_trapezoid(levels: np.ndarray) -> np.ndarray:
