@@ -83,13 +83,7 @@ class Kind:
 
     def log_density(self, natural: Float[Array, " p"], setting: Setting) -> Array:
         """Log of the density in the natural coordinates, up to a constant, spectra integrated out."""
-        own, data = self._split(natural, setting)
-        if self.layout.free_spectra:
-            found = self._spectra(own, data, setting)
-            likelihood = found.log_integral
-        else:
-            likelihood = self._log_likelihood(own, setting.spectra, data, setting.tail)
-        return likelihood + self._log_noise(natural, data) + self._log_prior(own, data)
+        return self.quadrature(natural, setting)[0]
 
     def log_joint(self, natural: Float[Array, " p"], spectra: Float[Array, "q u"], setting: Setting) -> Array:
         """Likewise, of the numbers and the free spectra."""
@@ -98,18 +92,34 @@ class Kind:
         spread = data.spectral_tightness * (spectra - data.spectral_center)
         return likelihood - jnp.sum(spread**2) / 2 + self._log_noise(natural, data) + self._log_prior(own, data)
 
-    def draw(
-        self, natural: Float[Array, " p"], uniform: Float[Array, "q u"], setting: Setting
-    ) -> Float[Array, "q u"]:
-        """Free spectra for known numbers, from uniform random numbers."""
+    def quadrature(self, natural: Float[Array, " p"], setting: Setting) -> tuple[Array, Array, Array]:
+        """The log density, and what the free spectra are drawn from for these numbers, see ``placed``."""
         own, data = self._split(natural, setting)
+        rest = self._log_noise(natural, data) + self._log_prior(own, data)
+        if not self.layout.free_spectra:
+            none = setting.spectra
+            return self._log_likelihood(own, none, data, setting.tail) + rest, none, none
         found = self._spectra(own, data, setting)
-        bottom, top = (bound[:, None] for bound in data.spectral_bounds)
+        return found.log_integral + rest, found.nodes, found.log_density
+
+    def placed(
+        self, nodes: Array, log_density: Array, uniform: Float[Array, "q u"], setting: Setting
+    ) -> Float[Array, "q u"]:
+        """Free spectra from their quadrature and uniform random numbers."""
+        if not self.layout.free_spectra:
+            return uniform
+        bottom, top = (bound[:, None] for bound in setting.data.spectral_bounds)
         if self.layout.free_spectra > 1:
             normal = jnp.sqrt(2.0).astype(uniform.dtype) * lax.erf_inv(2 * uniform - 1)
-            steps = jnp.einsum("uqr,ru->qu", found.log_density, normal)
-            return jnp.clip(found.nodes + steps, bottom, top)
-        return jax.vmap(_inverted, in_axes=(1, 1, 0))(found.nodes, found.log_density, uniform[0])[None]
+            return jnp.clip(nodes + jnp.einsum("uqr,ru->qu", log_density, normal), bottom, top)
+        return jax.vmap(_inverted, in_axes=(1, 1, 0))(nodes, log_density, uniform[0])[None]
+
+    def draw(
+        self, natural: Float[Array, " p"], uniform: Float[Array, "q u"], setting: Setting
+    ) -> tuple[Array, Float[Array, "q u"]]:
+        """The log density, and free spectra for these numbers, from uniform random numbers."""
+        log_density, nodes, log_nodes = self.quadrature(natural, setting)
+        return log_density, self.placed(nodes, log_nodes, uniform, setting)
 
     def predicted(
         self, natural: Float[Array, " p"], spectra: Float[Array, "q u"], setting: Setting
@@ -357,14 +367,25 @@ class Density:
         inside = np.clip(self.from_free(free), low, high)
         return self._batched("density", inside)[0] + self.log_jacobian(free)
 
-    def spectra(
+    def draw(
         self, natural: Float[np.ndarray, "n p"], generator: np.random.Generator
-    ) -> Float[np.ndarray, "n q u"]:
-        """One draw of the free spectra for each vector of numbers."""
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n q u"]]:
+        """``log_density``, and one draw of the free spectra for each vector of numbers."""
         shape = len(natural), *self.setting.spectra.shape
         if not shape[1]:
-            return np.zeros(shape)
-        return self._batched("draw", natural, generator.random(shape))[0]
+            return self.log_density(natural), np.zeros(shape)
+        low, high = self.bounds
+        inside = ((natural >= low) & (natural <= high)).all(axis=1)
+        logs, spectra = self._batched("draw", np.clip(natural, low, high), generator.random(shape))
+        return np.where(inside, logs, -np.inf), spectra
+
+    def quadrature(self, natural: Float[np.ndarray, "n p"]) -> tuple[np.ndarray, ...]:
+        """``log_density`` within the bounds, and what free spectra are drawn from for each vector of numbers."""
+        return self._batched("quadrature", natural)
+
+    def placed(self, quadrature: tuple[np.ndarray, ...], uniform: Float[np.ndarray, "n q u"]) -> np.ndarray:
+        """Free spectra from the last two parts of ``quadrature``, shape (n, Q, U)."""
+        return self._batched("placed", *quadrature, uniform)[0]
 
     def predicted(
         self, natural: Float[np.ndarray, "n p"], spectra: Float[np.ndarray, "n q u"]
@@ -379,6 +400,8 @@ class Density:
             function: dict[str, Any] = {
                 "density": self.kind.log_density,
                 "draw": self.kind.draw,
+                "quadrature": self.kind.quadrature,
+                "placed": self.kind.placed,
                 "predicted": self.kind.predicted,
             }
             axes = (*[0] * len(arguments), None)

@@ -7,8 +7,6 @@ from fitting.density import Density
 from fitting.nested import Draws, resampled, student_draws, student_log_density
 from fitting.result import FitResult
 
-_PROPOSALS = 2
-
 
 def importance_draws(result: FitResult, density: Density, count: int, generator: np.random.Generator) -> Draws:
     """Draws from the posterior by importance sampling; good for one mode, or several that the fit has found.
@@ -17,13 +15,17 @@ def importance_draws(result: FitResult, density: Density, count: int, generator:
         ValueError: the fit does not determine its numbers, so that there is no covariance to draw with.
     """
     centers, roots = modes(result, density)
-    total = _PROPOSALS * count
     shares = mode_weights(density, centers, roots)
-    chosen = generator.choice(len(centers), total, p=shares)
-    free, _ = student_draws(centers[chosen], roots[chosen], generator)
-    log_proposal = mixture_log_density(free, centers, roots, shares)
-    found, jacobian = density.log_free(free), density.log_jacobian(free)
-    return resampled(density.from_free(free), found - jacobian, found - log_proposal, count, generator, total)
+
+    def proposed(total: int) -> tuple[np.ndarray, ...]:
+        chosen = generator.choice(len(centers), total, p=shares)
+        free, _ = student_draws(centers[chosen], roots[chosen], generator)
+        natural = np.clip(density.from_free(free), *density.bounds)
+        found, spectra = density.draw(natural, generator)
+        log_proposal = mixture_log_density(free, centers, roots, shares)
+        return natural, spectra, found, found + density.log_jacobian(free) - log_proposal
+
+    return resampled(proposed, count, generator)
 
 
 def modes(result: FitResult, density: Density) -> tuple[np.ndarray, np.ndarray]:

@@ -27,7 +27,8 @@ _DEEP = 35.0
 _ROUNDS = 14
 _MOST_POINTS = 4000
 _TAIL = 7.0
-_PROPOSALS = 2
+_ROUNDS_OF_PROPOSALS = 3
+_ENOUGH = 0.7
 _LEVELS = 81
 
 
@@ -36,6 +37,7 @@ class Draws(NamedTuple):
 
     Args:
         natural: natural coordinates, shape (n, P), in random order.
+        spectra: free ones, shape (n, Q, U).
         log_density: of the posterior there, up to the density's constant.
         effective: how many independent draws they are worth.
         log_integral: of the density.
@@ -43,6 +45,7 @@ class Draws(NamedTuple):
     """
 
     natural: np.ndarray
+    spectra: np.ndarray
     log_density: np.ndarray
     effective: float
     log_integral: float
@@ -68,6 +71,8 @@ def nested_draws(result: FitResult, density: Density, count: int, generator: np.
     """Draws from the nested grid posterior."""
     if density.problem.tabular:
         return _closed(density, count, generator, result)
+    if len(density.numbers) == 1:
+        return _only(result, density, count, generator)
     return _weighted(result, density, count, generator)
 
 
@@ -235,7 +240,8 @@ def _closed(density: Density, count: int, generator: np.random.Generator, result
     columns = [place[:, None], other] + ([level[:, None]] if noise else [])
     natural = np.concatenate(columns, axis=1)
     order = generator.permutation(count)
-    return Draws(natural[order], log_marginal[order], float(count), grid.log_integral, len(places))
+    spectra = np.zeros((count, *density.setting.spectra.shape))
+    return Draws(natural[order], spectra, log_marginal[order], float(count), grid.log_integral, len(places))
 
 
 def _log_trapezoid(levels: np.ndarray) -> np.ndarray:
@@ -287,21 +293,40 @@ class _Rest(NamedTuple):
     root: np.ndarray
 
 
-def _weighted(result: FitResult, density: Density, count: int, generator: np.random.Generator) -> Draws:
-    """Whatever else is unknown: Laplace's method for the rest of the numbers, corrected by weights.
+def _only(result: FitResult, density: Density, count: int, generator: np.random.Generator) -> Draws:
+    """Nothing but the searched number and free spectra: their quantiles change slowly along the grid."""
+    seen: list[tuple[np.ndarray, ...]] = []
 
-    Without such a rest the grid is exact.
-    """
+    def log_density(places: np.ndarray) -> np.ndarray:
+        seen.append((places, *density.quadrature(places[:, None])))
+        return seen[-1][1]
+
+    grid = _refined(_axis(result, density), log_density)
+    places, _, *quadrature = (np.concatenate(column) for column in zip(*seen, strict=True))
+    order = np.argsort(places)
+    known = order[np.searchsorted(places, grid.places, sorter=order)]
+    left, share, logs = grid.draw(count, generator)
+    shuffled = generator.permutation(count)
+    left, share, logs = left[shuffled], share[shuffled], logs[shuffled]
+    natural = (grid.places[left] + share * np.diff(grid.places)[left])[:, None]
+    uniform = generator.random((count, *density.setting.spectra.shape))
+    below, above = (
+        density.placed(tuple(q[known[side]] for q in quadrature), uniform) for side in (left, left + 1)
+    )
+    spectra = below + share[:, None, None] * (above - below)
+    return Draws(natural, spectra, logs, float(count), grid.log_integral, len(places))
+
+
+def _weighted(result: FitResult, density: Density, count: int, generator: np.random.Generator) -> Draws:
+    """Whatever else is unknown: Laplace's method for the rest of the numbers, corrected by weights."""
     others = len(density.numbers) - 1
     known: dict[float, tuple[np.ndarray, np.ndarray]] = {}
-    near = _settled(result, density) if others else None
+    near = _settled(result, density)
     evaluations = 0
 
     def log_density(places: np.ndarray) -> np.ndarray:
         nonlocal evaluations, near
         evaluations += len(places)
-        if not others:
-            return density.log_density(places[:, None])
         rest, near = _rest(density, places, near, result)
         for place, middle, root in zip(places, rest.middle, rest.root, strict=True):
             known[float(place)] = middle, root
@@ -310,25 +335,21 @@ def _weighted(result: FitResult, density: Density, count: int, generator: np.ran
         return logs + volume + others / 2 * math.log(2 * math.pi)
 
     grid = _refined(_axis(result, density), log_density)
-    if not others:
-        left, share, logs = grid.draw(count, generator)
-        natural = (grid.places[left] + share * np.diff(grid.places)[left])[:, None]
-        order = generator.permutation(count)
-        return Draws(natural[order], logs[order], float(count), grid.log_integral, evaluations)
-
     middles = np.stack([known[float(p)][0] for p in grid.places])
     roots = np.stack([known[float(p)][1] for p in grid.places])
-    total = _PROPOSALS * count
-    left, share, logs = grid.draw(total, generator)
-    place = grid.places[left] + share * np.diff(grid.places)[left]
-    t = share[:, None]
-    middle = (1 - t) * middles[left] + t * middles[left + 1]
-    root = (1 - t[..., None]) * roots[left] + t[..., None] * roots[left + 1]
-    other, log_other = student_draws(middle, root, generator)
-    natural = np.concatenate([place[:, None], other], axis=1)
-    found = density.log_density(natural)
-    log_weights = found - (logs - grid.log_integral) - log_other
-    return resampled(natural, found, log_weights, count, generator, evaluations + total)
+
+    def proposed(total: int) -> tuple[np.ndarray, ...]:
+        left, share, logs = grid.draw(total, generator)
+        place = grid.places[left] + share * np.diff(grid.places)[left]
+        t = share[:, None]
+        middle = (1 - t) * middles[left] + t * middles[left + 1]
+        root = (1 - t[..., None]) * roots[left] + t[..., None] * roots[left + 1]
+        other, log_other = student_draws(middle, root, generator)
+        natural = np.concatenate([place[:, None], other], axis=1)
+        found, spectra = density.draw(natural, generator)
+        return natural, spectra, found, found - (logs - grid.log_integral) - log_other
+
+    return resampled(proposed, count, generator, evaluations)
 
 
 def student_draws(
@@ -356,29 +377,45 @@ def _student(scaled: np.ndarray, root: np.ndarray) -> np.ndarray:
 
 
 def resampled(
-    natural: np.ndarray,
-    log_density: np.ndarray,
-    log_weights: np.ndarray,
+    proposed: Callable[[int], tuple[np.ndarray, ...]],
     count: int,
     generator: np.random.Generator,
-    evaluations: int,
+    evaluations: int = 0,
 ) -> Draws:
-    """Draws of equal weight from weighted ones, by systematic resampling."""
-    log_weights = np.where(np.isfinite(log_weights), log_weights, -np.inf)
-    if not np.isfinite(log_weights).any():
+    """Draws of equal weight from weighted ones, by systematic resampling.
+
+    Args:
+        proposed: makes so many draws: numbers, spectra, log densities and logarithms of the weights.
+        count: of draws.
+        generator: of random numbers.
+        evaluations: that were made before.
+
+    Raises:
+        ValueError: no draw has a weight.
+    """
+    parts: list[tuple[np.ndarray, ...]] = []
+    whole, effective, weights = -np.inf, 0.0, np.zeros(0)
+    while len(parts) < _ROUNDS_OF_PROPOSALS and effective < _ENOUGH * count:
+        parts.append(proposed(count))
+        log_weights = np.concatenate([part[3] for part in parts])
+        log_weights = np.where(np.isfinite(log_weights), log_weights, -np.inf)
+        if np.isfinite(log_weights).any():
+            whole = float(logsumexp(log_weights))
+            weights = np.exp(log_weights - whole)
+            effective = float(1 / np.sum(weights**2))
+    if not effective:
         raise ValueError("the density is zero at every draw; expected a fit that the priors and bounds allow")
-    whole = float(logsumexp(log_weights))
-    weights = np.exp(log_weights - whole)
-    effective = float(1 / np.sum(weights**2))
     rising = np.cumsum(weights)
     uniform = (np.arange(count) + generator.random()) / count * rising[-1]
     chosen = generator.permutation(np.minimum(np.searchsorted(rising, uniform), len(weights) - 1))
+    natural, spectra, log_density = (np.concatenate([part[i] for part in parts])[chosen] for i in range(3))
     return Draws(
-        natural[chosen],
-        log_density[chosen],
+        natural,
+        spectra,
+        log_density,
         min(effective, float(count)),
         whole - math.log(len(weights)),
-        evaluations,
+        evaluations + len(weights),
     )
 
 

@@ -191,13 +191,12 @@ def _of_draws(
         )
     if own.kind.layout.free_spectra > 1:
         warnings.append("two values per wavelength are integrated by Laplace's method around one branch")
-    spectra = own.spectra(drawn.natural, generator)
     return assembled(
         result,
         own,
         method,
         drawn.natural[None],
-        spectra[None],
+        drawn.spectra[None],
         drawn.log_density[None],
         effective=np.full(len(own.numbers), drawn.effective),
         time=None,
@@ -226,7 +225,7 @@ def _of_chain(
     free, logs = chain.free[::-1][::thin][::-1], chain.log_density[::-1][::thin][::-1]
     flat = free.reshape(-1, size)
     natural = own.from_free(flat)
-    spectra = own.spectra(natural, generator)
+    _, spectra = own.draw(natural, generator)
     warnings = []
     if size > ensemble.MOST_NUMBERS:
         warnings.append(
