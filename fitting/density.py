@@ -462,18 +462,23 @@ _KEPT: OrderedDict[Any, dict[str, Any]] = OrderedDict()
 
 
 def density(
-    problem: Problem, spectra: Float[np.ndarray, "q u"], noise: bool = False, student_t: float | None = None
+    problem: Problem,
+    spectra: Float[np.ndarray, "q u"],
+    noise: Parameter | None = None,
+    student_t: float | None = None,
 ) -> Density:
     """The posterior density of a problem.
 
     Args:
         problem: what was fitted.
         spectra: the fitted free spectra.
-        noise: whether the noise level is free.
+        noise: the noise level if it is free.
         student_t: degrees of freedom of Student's t; None for Gaussian noise.
     """
-    numbers = (*problem.numbers, NOISE) if noise else problem.numbers
-    kind = Kind(problem.layout, noise, student_t is not None, tuple(_powers(p) for p in problem.numbers))
+    numbers = problem.numbers if noise is None else (*problem.numbers, noise)
+    kind = Kind(
+        problem.layout, noise is not None, student_t is not None, tuple(_powers(p) for p in problem.numbers)
+    )
     dtype = problem.data.center.dtype
     tail = jnp.asarray(1.0 if student_t is None else student_t, dtype)
     setting = Setting(problem.data, jnp.asarray(spectra, dtype), tail)

@@ -3,16 +3,16 @@
 import io
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import norm, rankdata  # type: ignore[import-untyped]
 
 from fitting import files
 from fitting.density import Density
+from fitting.marginal import SpectralMarginal, marginal, of_spectra
 from fitting.parameters import displayed
 from fitting.result import FitResult
 
@@ -22,50 +22,20 @@ _AT_KINK = (
 )
 
 
-@dataclass(frozen=True)
-class Marginal:
-    """One number's posterior, in Python units: radians for angles.
-
-    Args:
-        median: of the draws.
-        mean: of the draws.
-        standard_deviation: of the draws.
-        interval_68: equal-tailed.
-        interval_95: equal-tailed.
-        r_hat: rank-normalized split R-hat; near 1 where chains agree. NaN for a single chain.
-        effective_samples: how many independent draws the draws are worth.
-        autocorrelation_time: of the ensemble, steps; NaN for independent draws.
-        unit: "rad", "nm" or "1".
-    """
-
-    median: float
-    mean: float
-    standard_deviation: float
-    interval_68: tuple[float, float]
-    interval_95: tuple[float, float]
-    r_hat: float
-    effective_samples: float
-    autocorrelation_time: float
-    unit: str = "1"
-
-    def displayed(self, number: Any) -> Any:
-        """A number, or an array of them, as it is printed: degrees for an angle."""
-        return displayed(number, self.unit)
-
-
 @dataclass(frozen=True, eq=False)
 class Posterior:
     """Draws from the posterior of a fit.
 
     Args:
-        method: "nested", "emcee" or "importance".
+        method: "nested", "emcee", "importance" or "nuts".
         chains: draws of each number by name, shape (chains, draws), in Python units (radians); those of an
             ensemble without burn-in.
         spectra: likewise of each free spectrum, shape (chains, draws, L).
         wavelengths_nm: of the spectra, shape (L,).
         log_density: of the posterior at each draw, up to a constant, shape (chains, draws).
-        estimates: by name, for the numbers.
-        acceptance: share of accepted proposals of an ensemble, None otherwise.
+        estimates: by name; spectra last.
+        divergent: draws at which a trajectory of NUTS broke down, shape (chains, draws); None for other methods.
+        acceptance: share of accepted proposals of an ensemble or of NUTS, None otherwise.
         log_evidence: logarithm of the likelihood averaged over the priors, None if a prior has no finite volume
             or the method does not tell.
         warnings: each one sentence.
@@ -79,7 +49,8 @@ class Posterior:
     spectra: dict[str, np.ndarray]
     wavelengths_nm: np.ndarray
     log_density: np.ndarray
-    estimates: dict[str, Marginal]
+    estimates: dict[str, Any]
+    divergent: np.ndarray | None
     acceptance: float | None
     log_evidence: float | None
     warnings: tuple[str, ...]
@@ -100,6 +71,9 @@ class Posterior:
             ("parameter", "median", "std. deviation", "95 % interval", "effective samples")
         ]
         for name, one in self.estimates.items():
+            if isinstance(one, SpectralMarginal):
+                rows.append(_spectral_row(name, one))
+                continue
             scale = float(one.displayed(one.standard_deviation))
             digits = int(np.clip(1 - math.floor(math.log10(scale)), 0, 8)) if scale > 0 else 4
             unit = {"rad": " deg", "nm": " nm"}.get(one.unit, "")
@@ -132,10 +106,13 @@ class Posterior:
             "message": self.message,
             "warnings": list(self.warnings),
             "draws": int(self.log_density.size),
+            "divergent": None if self.divergent is None else int(self.divergent.sum()),
             "acceptance": self.acceptance,
             "log_evidence": self.log_evidence,
             "parameters": {
-                name: {
+                name: _spectral_part(one)
+                if isinstance(one, SpectralMarginal)
+                else {
                     "unit": "deg" if one.unit == "rad" else one.unit,
                     "median": float(one.displayed(one.median)),
                     "mean": float(one.displayed(one.mean)),
@@ -149,6 +126,61 @@ class Posterior:
                 for name, one in self.estimates.items()
             },
         }
+
+    def thin(self, every: int) -> "Posterior":
+        """Every so many draws of each chain, the last one included.
+
+        Raises:
+            ValueError: fewer than 10 draws would be left.
+        """
+        draws = self.log_density.shape[1]
+        if isinstance(every, bool) or not isinstance(every, int) or not 1 <= every <= draws // 10:
+            raise ValueError(
+                f"every is {every!r}; expected a whole number from 1 to {max(draws // 10, 1)}, for chains of "
+                f"{draws} draws"
+            )
+        kept = slice((draws - 1) % every, None, every)
+        chains = {name: values[:, kept] for name, values in self.chains.items()}
+        spectra = {name: values[:, kept] for name, values in self.spectra.items()}
+        estimates = {
+            name: marginal(
+                values,
+                min(self.estimates[name].effective_samples, float(values.size)),
+                self.estimates[name].autocorrelation_time / every,
+                self.estimates[name].unit,
+            )
+            for name, values in chains.items()
+        }
+        return replace(
+            self,
+            chains=chains,
+            spectra=spectra,
+            log_density=self.log_density[:, kept],
+            estimates=estimates | of_spectra(spectra, self.wavelengths_nm),
+            divergent=None if self.divergent is None else self.divergent[:, kept],
+        )
+
+    def to_arviz(self) -> Any:
+        """The draws as ``arviz.InferenceData``, angles in degrees, in variables named so.
+
+        Raises:
+            ImportError: ArviZ is missing; it comes with the extra ``arviz``.
+        """
+        try:
+            import arviz
+        except ImportError:
+            raise ImportError("ArviZ is missing; expected: pip install 'vcavity[arviz]'") from None
+        numbers = {
+            _column(name, self.estimates[name].unit): self.estimates[name].displayed(values)
+            for name, values in self.chains.items()
+        }
+        stats = {"lp": self.log_density} | ({} if self.divergent is None else {"diverging": self.divergent})
+        return arviz.from_dict(
+            posterior=numbers | self.spectra,
+            sample_stats=stats,
+            coords={"wavelength_nm": self.wavelengths_nm} if self.spectra else {},
+            dims={name: ["wavelength_nm"] for name in self.spectra},
+        )
 
     def to_csv(self, path: str | PathLike[str]) -> None:
         """Write all draws, one per line; angles in degrees, in columns named so.
@@ -233,6 +265,30 @@ class Posterior:
         return self.density.predicted(self.density.natural(values), spectra)
 
 
+def _spectral_row(name: str, one: SpectralMarginal) -> tuple[str, ...]:
+    """A spectrum in one line of the summary."""
+    low, high = one.interval_95
+    return (
+        name,
+        f"{one.median.min():.4f} to {one.median.max():.4f}",
+        f"{np.median(one.standard_deviation):.4f} (median)",
+        f"± {np.median(high - low) / 2:.4f} (median)",
+        f"{len(one.median)} wavelengths",
+    )
+
+
+def _spectral_part(one: SpectralMarginal) -> dict[str, Any]:
+    return {
+        "wavelength_nm": one.wavelengths_nm.tolist(),
+        "unit": "1",
+        "median": one.median.tolist(),
+        "mean": one.mean.tolist(),
+        "standard_deviation": one.standard_deviation.tolist(),
+        "interval_68": [end.tolist() for end in one.interval_68],
+        "interval_95": [end.tolist() for end in one.interval_95],
+    }
+
+
 def _column(name: str, unit: str) -> str:
     return {"rad": f"{name}_deg", "nm": f"{name}_nm"}.get(unit, name)
 
@@ -252,6 +308,7 @@ def assembled(
     warnings: Sequence[str],
     converged: bool,
     message: str,
+    divergent: np.ndarray | None = None,
 ) -> Posterior:
     """A posterior from draws in natural coordinates.
 
@@ -262,24 +319,13 @@ def assembled(
         raise ValueError("a draw is NaN; expected numbers: the chain is damaged")
     chains = {p.name: np.asarray(p.from_natural(natural[..., i])) for i, p in enumerate(density.numbers)}
     free = {name: spectra[:, :, q] for q, name in enumerate(density.problem.free_names)}
-    estimates, doubts = {}, list(warnings)
+    estimates: dict[str, Any] = {}
+    doubts = list(warnings)
     for i, p in enumerate(density.numbers):
-        whole = chains[p.name].reshape(-1)
-        ends = np.quantile(whole, [0.025, 0.15865525, 0.5, 0.84134475, 0.975])
-        agreement = r_hat(chains[p.name])
-        if agreement > 1.05:
-            doubts.append(f"the chains of {p.name} disagree (R-hat {agreement:.3f}, above 1.05)")
-        estimates[p.name] = Marginal(
-            float(ends[2]),
-            float(np.mean(whole)),
-            float(np.std(whole)),
-            (float(ends[1]), float(ends[3])),
-            (float(ends[0]), float(ends[4])),
-            agreement,
-            float(effective[i]),
-            math.nan if time is None else float(time[i]),
-            p.unit,
-        )
+        steps = math.nan if time is None else float(time[i])
+        estimates[p.name] = marginal(chains[p.name], float(effective[i]), steps, p.unit)
+        if estimates[p.name].r_hat > 1.05:
+            doubts.append(f"the chains of {p.name} disagree (R-hat {estimates[p.name].r_hat:.3f}, above 1.05)")
         if getattr(result.estimates.get(p.name), "at_kink", False):
             doubts.append(_AT_KINK.format(p.name))
     return Posterior(
@@ -288,7 +334,8 @@ def assembled(
         free,
         density.problem.layout.wavelengths_nm,
         log_density,
-        estimates,
+        estimates | of_spectra(free, density.problem.layout.wavelengths_nm),
+        divergent,
         acceptance,
         log_evidence,
         tuple(doubts),
@@ -297,24 +344,3 @@ def assembled(
         result,
         density,
     )
-
-
-def r_hat(chains: Float[np.ndarray, "chains draws"]) -> float:
-    """Rank-normalized split R-hat of several chains; NaN for a single one.
-
-    References:
-        [Vehtari2021, eq. 4 and section 4.1]
-    """
-    count, draws = chains.shape
-    if count < 2 or draws < 4:
-        return math.nan
-    half = draws // 2
-    split = np.concatenate([chains[:, :half], chains[:, -half:]])
-    found = []
-    for values in (split, np.abs(split - np.median(split))):
-        ranks = rankdata(values).reshape(values.shape)
-        z = norm.ppf((ranks - 0.375) / (ranks.size + 0.25))
-        within = float(np.mean(np.var(z, axis=1, ddof=1)))
-        between = float(half * np.var(np.mean(z, axis=1), ddof=1))
-        found.append(math.sqrt(((half - 1) / half * within + between / half) / within) if within > 0 else math.nan)
-    return max(found)

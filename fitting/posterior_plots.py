@@ -30,7 +30,7 @@ def plot_corner(posterior: Posterior, path: str | PathLike[str]) -> None:
     """Marginal histograms and pairwise densities, with 68 and 95 % contours and the median dashed."""
 
     def draw() -> Figure:
-        names = list(posterior.estimates)[:_MOST_NUMBERS]
+        names = list(posterior.chains)[:_MOST_NUMBERS]
         size = max(3.5, 1.5 * len(names) + 0.8)
         figure = Figure(figsize=(size, size))
         data = np.stack([_shown(posterior, name).reshape(-1) for name in names], axis=1)
@@ -56,7 +56,7 @@ def plot_trace(posterior: Posterior, path: str | PathLike[str]) -> None:
     """Every chain against its steps."""
 
     def draw() -> Figure:
-        names = list(posterior.estimates)[:_MOST_NUMBERS]
+        names = list(posterior.chains)[:_MOST_NUMBERS]
         figure = Figure(figsize=(3.5, 0.5 + 1.1 * len(names)), layout="constrained")
         axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
         for one, name in zip(axes, names, strict=True):
@@ -73,30 +73,28 @@ def plot_predictive(posterior: Posterior, path: str | PathLike[str]) -> None:
     """Measured values and the 95 % band of new measurements, noise included, in each direction."""
 
     def draw() -> Figure:
-        measurement, sigma = posterior.result.measurement, posterior.result.measurement.standard_uncertainty
-        predicted = posterior.predicted(_DRAWS)[0]
-        assert sigma is not None
+        result, random = posterior.result, np.random.default_rng(0)
         level = posterior.chains["noise"].mean() if "noise" in posterior.chains else 1.0
-        noise = level * sigma * np.random.default_rng(0).standard_normal(predicted.shape)
-        low, middle, high = np.quantile(predicted + noise, [0.025, 0.5, 0.975], axis=0)
-        middle = np.median(predicted, axis=0)
-        count = len(measurement.polar)
+        every = [(i, d) for i, m in enumerate(result.measurements) for d in range(len(m.polar))]
+        count = len(every)
         chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_VIEWS)).astype(int))
         figure = Figure(figsize=(3.5, 0.5 + 1.2 * len(chosen)), layout="constrained")
         axes = figure.subplots(len(chosen), 1, sharex=True, squeeze=False)[:, 0]
-        for one, d in zip(axes, chosen, strict=True):
-            place = measurement.wavelengths_nm
+        bands = []
+        for predicted, m in zip(posterior.predicted(_DRAWS), result.measurements, strict=True):
+            assert m.standard_uncertainty is not None
+            noise = level * m.standard_uncertainty * random.standard_normal(predicted.shape)
+            bands.append((*np.quantile(predicted + noise, [0.025, 0.975], axis=0), np.median(predicted, axis=0)))
+        for one, (i, d) in zip(axes, [every[k] for k in chosen], strict=True):
+            m, (low, high, middle) = result.measurements[i], (band[d] for band in bands[i])
+            place = m.wavelengths_nm
             # The bands are thinner than the line of a spectrum: all is drawn less the predicted median.
-            below, above, off = (
-                low[d] - middle[d],
-                high[d] - middle[d],
-                measurement.reflectance_factor[d] - middle[d],
-            )
-            one.fill_between(place, below, above, color="0.8", linewidth=0, label="95 % predicted")
+            one.fill_between(place, low - middle, high - middle, color="0.8", linewidth=0, label="95 % predicted")
             one.axhline(0, color="0.3", label="median")
-            one.plot(place, off, "o", color="#0072B2", markersize=2, label="measured")
-            polar, azimuth = (float(np.degrees(a[d])) for a in (measurement.polar, measurement.azimuth))
-            one.set_title(f"θ = {polar:.0f}°, φ = {azimuth:.0f}°", loc="left")
+            one.plot(place, m.reflectance_factor[d] - middle, "o", color="#0072B2", markersize=2, label="measured")
+            polar, azimuth = (float(np.degrees(a[d])) for a in (m.polar, m.azimuth))
+            where = f"θ = {polar:.0f}°, φ = {azimuth:.0f}°"
+            one.set_title(where if len(result.labels) == 1 else f"{result.labels[i]}: {where}", loc="left")
         axes[0].legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.12), fontsize=7, handlelength=1.2)
         axes[-1].set_xlabel("wavelength (nm)")
         figure.supylabel("reflectance factor less the predicted median", fontsize=8)

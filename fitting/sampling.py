@@ -8,15 +8,20 @@ from typing import Any
 import numpy as np
 
 from fitting import ensemble
-from fitting.density import Density, density, with_priors
+from fitting.density import NOISE, Density, density, with_priors
 from fitting.importance import importance_draws
 from fitting.nested import Draws, nested_draws, reason_against
+from fitting.nuts import NutsDraws, nuts_draws
+from fitting.parameters import Parameter
 from fitting.posterior import Posterior, assembled
 from fitting.priors import as_prior
+from fitting.problem import Problem
 from fitting.result import FitResult
+from fitting.solve import solved
 
-METHODS = ("auto", "nested", "emcee", "importance")
+METHODS = ("auto", "nested", "emcee", "importance", "nuts")
 _FAR = 6.0
+_FEWEST_EFFECTIVE = 200
 
 
 @dataclass(frozen=True)
@@ -28,7 +33,7 @@ class _Asked:
 
 
 def sample_posterior(
-    result: FitResult,
+    result: FitResult | Problem,
     method: str | None = None,
     *,
     draws: int = 2000,
@@ -36,7 +41,7 @@ def sample_posterior(
     steps: int | None = None,
     most_steps: int = 20_000,
     chain: str | PathLike[str] | None = None,
-    noise: str | None = None,
+    noise: str | tuple[float | int, float | int] | None = None,
     student_t: float | int | None = None,
     priors: Mapping[str, Any] | None = None,
     seed: int = 0,
@@ -48,18 +53,20 @@ def sample_posterior(
     logarithm. Spectra that are free at each wavelength are integrated out by quadrature and drawn afterwards.
 
     Args:
-        result: of ``fit``.
+        result: of ``fit``; a ``Problem``, as ``FitResult.problem``, is fitted first.
         method: "nested", exact where one number is searched and the rest is Gaussian or falls apart into
             wavelengths, and safe with several modes; "emcee", an ensemble with differential-evolution and
-            snooker moves, for up to six numbers; "importance", Laplace importance sampling, for more. "auto" (the
-            default) takes the first that applies, and emcee if ``walkers``, ``steps`` or ``chain`` is given.
+            snooker moves, for up to six numbers; "importance", Laplace importance sampling, for more; "nuts", a
+            gradient-based sampler of everything at once (the extra ``nuts``). "auto" (the default) takes the
+            first that applies, and emcee if ``walkers``, ``steps`` or ``chain`` is given.
         draws: how many to keep; an ensemble keeps all of its own if it is thinned to no less.
         walkers: of the ensemble, even, at least twice the parameters; 32 or four times the parameters if None.
         steps: of the ensemble; None to run until it is 50 autocorrelation times long.
         most_steps: then, at most.
         chain: HDF5 file that keeps the ensemble step by step. If it exists the chain goes on where it stopped.
         noise: "known", or "free": the ratio of the true noise to the stated one is a parameter, uniform in its
-            logarithm from 0.1 to 10. None for "free" if the fit had to estimate the uncertainty.
+            logarithm from 0.1 to 10, or between other bounds, (lower, upper). None for "free" if the fit had to
+            estimate the uncertainty.
         student_t: degrees of freedom of Student's t instead of Gaussian noise, for spectra with outliers; 4 is
             usual.
         priors: other priors than those of the fit, by name, as in ``fitting.free`` (degrees for angles).
@@ -75,25 +82,25 @@ def sample_posterior(
         method = "auto"
     if method not in METHODS:
         raise ValueError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
-    if noise not in (None, "known", "free"):
-        raise ValueError(f"noise is {noise!r}; expected 'known' or 'free'")
+    if isinstance(result, Problem):
+        result = solved(result)
+    level = _noise_level(noise, result.uncertainty_estimated)
     if student_t is not None and not 1 <= student_t < np.inf:
         raise ValueError(f"student_t is {student_t!r}; expected at least 1 degree of freedom, 4 is usual")
-    free_noise = result.uncertainty_estimated if noise is None else noise == "free"
     if priors:
         result = _with_priors(result, priors)
     own = density(
         result.problem,
         result.found.minima.spectra[0],
-        free_noise,
+        level,
         None if student_t is None else float(student_t),
     )
     if not own.numbers:
         raise ValueError("the fit has no free number; expected one, as the dihedral angle")
-    if own.kind.robust and own.kind.layout.free_spectra:
+    if own.kind.robust and own.kind.layout.free_spectra and method != "nuts":
         raise ValueError(
-            "Student's t and spectra that are free at each wavelength do not go together; expected one of them, "
-            "or a smooth spectrum"
+            "spectra that are free at each wavelength cannot be integrated out of Student's t; expected "
+            "method='nuts', or a smooth spectrum"
         )
     ensemble_wanted = walkers is not None or steps is not None or chain is not None
     against = reason_against(result, own)
@@ -126,6 +133,8 @@ def sample_posterior(
             progress=progress,
         )
         return _of_chain(result, own, found, asked, generator, against is None)
+    if method == "nuts":
+        return _of_nuts(result, own, nuts_draws(result, own, asked.draws, asked.seed))
     drawn = (nested_draws if method == "nested" else importance_draws)(result, own, asked.draws, generator)
     return _of_draws(result, own, drawn, method, generator)
 
@@ -142,9 +151,23 @@ def log_evidence(result: FitResult) -> float | None:
     Raises:
         ValueError: the fit has no free number, or does not determine its numbers.
     """
-    own = density(result.problem, result.found.minima.spectra[0], result.uncertainty_estimated)
+    own = density(result.problem, result.found.minima.spectra[0], _noise_level(None, result.uncertainty_estimated))
     method = "nested" if own.numbers and reason_against(result, own) is None else "importance"
     return sample_posterior(result, method).log_evidence
+
+
+def _noise_level(noise: Any, estimated: bool) -> Parameter | None:
+    """The noise level as a parameter; None if it is known."""
+    if noise is None:
+        noise = "free" if estimated else "known"
+    if isinstance(noise, str):
+        if noise not in ("known", "free"):
+            raise ValueError(f"noise is {noise!r}; expected 'known', 'free', or bounds (lower, upper)")
+        return NOISE if noise == "free" else None
+    low, high = (float(end) for end in noise)
+    if not 0 < low < high < np.inf:
+        raise ValueError(f"noise is {noise!r}; expected bounds 0 < lower < upper of its ratio to the stated one")
+    return replace(NOISE, lower=low, upper=high, start=float(np.sqrt(low * high)))
 
 
 def _whole(name: str, value: Any, least: int) -> int:
@@ -208,6 +231,34 @@ def _of_draws(
     )
 
 
+def _of_nuts(result: FitResult, own: Density, drawn: NutsDraws) -> Posterior:
+    lost = int(drawn.divergent.sum())
+    warnings = []
+    if lost:
+        warnings.append(
+            f"{lost} of {drawn.divergent.size} trajectories diverged: the posterior has corners that the sampler "
+            "does not reach; compare with another method"
+        )
+    enough = float(np.min(drawn.effective)) >= _FEWEST_EFFECTIVE
+    worth = f"The draws are worth {np.min(drawn.effective):.0f} independent ones"
+    return assembled(
+        result,
+        own,
+        "nuts",
+        drawn.natural,
+        drawn.spectra,
+        drawn.log_density,
+        effective=drawn.effective,
+        time=None,
+        acceptance=drawn.acceptance,
+        log_evidence=None,
+        warnings=warnings,
+        converged=enough and not lost,
+        message=f"{worth}." if enough else f"{worth}, but {_FEWEST_EFFECTIVE} are needed: raise draws.",
+        divergent=drawn.divergent,
+    )
+
+
 def _of_chain(
     result: FitResult,
     own: Density,
@@ -229,8 +280,8 @@ def _of_chain(
     warnings = []
     if size > ensemble.MOST_NUMBERS:
         warnings.append(
-            f"{size} parameters are more than an ensemble can sample ({ensemble.MOST_NUMBERS}): use "
-            "method='nested' or 'importance'"
+            f"{size} parameters are more than an ensemble can sample ({ensemble.MOST_NUMBERS}), it will not "
+            "converge: use method='nested', 'importance' or 'nuts'"
         )
     still = (np.ptp(chain.free, axis=0) == 0).all(axis=1)
     if still.any():

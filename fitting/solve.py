@@ -80,16 +80,27 @@ def fit(
             "the measurement states no uncertainty, and no degree of freedom is left to estimate it; "
             "expected standard_uncertainty=, more values, or fewer free parameters"
         )
+    return solved(problem, unknown, max_steps)
+
+
+def solved(problem: Problem, unknown: bool = False, max_steps: int = 60) -> FitResult:
+    """Fit what is put together.
+
+    Args:
+        problem: what is fitted.
+        unknown: its standard uncertainty is a guess, to be estimated from the residuals.
+        max_steps: most steps of each descent to a minimum.
+    """
     found = _search(problem, max_steps)
     if unknown:
         # Priors do not scale with the uncertainty, hence the repetition; without them the second pass agrees.
         for _ in range(8):
             factor = np.sqrt(found.minima.chi_square[0] / problem.degrees_of_freedom)
             sigma = 1 / max(float(jnp.max(w)) for w in problem.data.weights)
-            factor = max(factor, tolerance / sigma)
+            factor = max(factor, problem.layout.tolerance / sigma)
             problem = problem.with_uncertainty_scaled(float(factor))
             found = _search(problem, max_steps)
-            if abs(factor - 1) < 1e-3 or factor * sigma <= tolerance:
+            if abs(factor - 1) < 1e-3 or factor * sigma <= problem.layout.tolerance:
                 break
     return report(problem, found, unknown)
 

@@ -16,7 +16,7 @@ from scipy.stats import kstest
 
 import vcavity_jax as vc
 from fitting import Measurement, fit, free, priors, sample_posterior
-from fitting.posterior import r_hat
+from fitting.marginal import r_hat
 from fitting.sampling import METHODS
 
 BAND = np.array([450.0, 500.0, 550.0, 600.0, 650.0])
@@ -144,21 +144,6 @@ def test_ranks_of_the_truth_are_uniform():
         found = sample_posterior(fit(scene, measured, [free.angle(50, 110)]), draws=500, seed=k)
         ranks.append(np.mean(found.samples["angle"] < np.radians(degrees)))
     assert kstest(ranks, "uniform").pvalue > 1e-3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("polar", [np.zeros(1), np.radians([0.0, 25.0, 50.0, 75.0])])
-def test_coverage_at_a_kink(polar):
-    """The truth at 90 degrees: from the front a flat prior covers too little, several directions repair it."""
-    inside = 0
-    scene = scene_of(70, vc.Specular(GOLD))
-    for k in range(400):
-        measured = noisy(model(90, vc.Specular(GOLD), polar), k, polar)
-        low, high = (
-            sample_posterior(fit(scene, measured, [free.angle(50, 125)]), draws=500).estimates["angle"].interval_95
-        )
-        inside += low <= np.pi / 2 <= high
-    assert (0.65 < inside / 400 < 0.92) if len(polar) == 1 else (0.92 < inside / 400 < 0.985)
 
 
 def test_a_kink_is_flagged():
@@ -316,3 +301,107 @@ def test_names_of_the_methods():
     from fitting.cli.arguments import SAMPLERS
 
     assert SAMPLERS == METHODS
+
+
+# Spectra, several measurements, other tools.
+
+
+@pytest.fixture(scope="module")
+def unknown():
+    """An angle and five reflectances."""
+    measured = noisy(model(63, vc.Lambertian(RED)), 11)
+    return fit(scene_of(70, vc.Lambertian(RED)), measured, [free.angle(30, 170), free.reflectance()])
+
+
+def test_spectra_have_intervals_at_each_wavelength(unknown):
+    posterior = sample_posterior(unknown)
+    one, drawn = posterior.estimates["reflectance"], posterior.samples["reflectance"]
+    assert list(posterior.estimates) == ["angle", "reflectance"]
+    np.testing.assert_allclose(one.interval_95[0], np.quantile(drawn, 0.025, axis=0))
+    np.testing.assert_allclose(one.mean, unknown.estimates["reflectance"].value, atol=0.02)
+    told = posterior.to_dict()["parameters"]["reflectance"]
+    assert told["wavelength_nm"] == BAND.tolist()
+    assert np.shape(told["interval_68"]) == (2, 5)
+    assert "5 wavelengths" in posterior.summary()
+
+
+def test_thinning(unknown, nested):
+    posterior = sample_posterior(unknown, draws=500)
+    thin = posterior.thin(4)
+    assert thin.log_density.shape == (1, 125)
+    np.testing.assert_array_equal(thin.chains["angle"], posterior.chains["angle"][:, 3::4])
+    np.testing.assert_array_equal(thin.samples["reflectance"], posterior.samples["reflectance"][3::4])
+    assert thin.estimates["angle"].effective_samples == 125
+    assert thin.estimates["angle"].median == np.median(thin.samples["angle"])
+    with pytest.raises(ValueError, match="every is 0; expected a whole number from 1 to 200"):
+        nested.thin(0)
+    with pytest.raises(ValueError, match="chains of 500 draws"):
+        posterior.thin(100)
+
+
+@pytest.mark.filterwarnings("ignore::FutureWarning")
+def test_arviz_reads_the_draws(unknown):
+    arviz = pytest.importorskip("arviz")
+    posterior = sample_posterior(unknown, draws=300)
+    data = posterior.to_arviz()
+    np.testing.assert_allclose(data.posterior["angle_deg"].values, np.degrees(posterior.chains["angle"]))
+    assert data.posterior["reflectance"].dims == ("chain", "draw", "wavelength_nm")
+    assert data.posterior["wavelength_nm"].values.tolist() == BAND.tolist()
+    low, high = arviz.hdi(data, hdi_prob=0.95)["angle_deg"].values
+    assert low < np.degrees(posterior.estimates["angle"].median) < high
+
+
+def test_nuts_agrees_with_the_grid(unknown):
+    pytest.importorskip("blackjax")
+    exact, found = sample_posterior(unknown), sample_posterior(unknown, "nuts", draws=1200)
+    assert found.converged
+    assert found.divergent.shape == found.log_density.shape == (4, 300)
+    a, b = exact.estimates["angle"], found.estimates["angle"]
+    assert abs(a.mean - b.mean) < 4 * a.standard_deviation / np.sqrt(b.effective_samples)
+    assert b.standard_deviation == pytest.approx(a.standard_deviation, rel=0.12)
+    spectra = exact.estimates["reflectance"], found.estimates["reflectance"]
+    np.testing.assert_allclose(spectra[0].mean, spectra[1].mean, atol=0.25 * spectra[0].standard_deviation.min())
+    np.testing.assert_allclose(spectra[0].standard_deviation, spectra[1].standard_deviation, rtol=0.15)
+    assert b.r_hat < 1.05
+
+
+@pytest.mark.slow
+def test_nuts_takes_outliers_and_a_free_spectrum_together():
+    """Five outliers of 20 standard deviations in 30 values: Student's t leaves them alone."""
+    pytest.importorskip("blackjax")
+    polar = np.radians([0.0, 20.0, 40.0, 55.0, 65.0, 75.0])
+    values = noisy(model(63, vc.Lambertian(RED), polar), 11, polar).reflectance_factor.copy()
+    values[[0, 1, 3, 4, 5], np.arange(5)] += 0.1
+    measured = Measurement(BAND, polar, 0 * polar, values, np.full(values.shape, SIGMA))
+    result = fit(scene_of(70, vc.Lambertian(RED)), measured, [free.angle(30, 170), free.reflectance()])
+    with pytest.raises(ValueError, match="expected method='nuts', or a smooth spectrum"):
+        sample_posterior(result, student_t=4)
+    low, high = sample_posterior(result, "nuts", student_t=2, draws=800).estimates["angle"].interval_95
+    assert low < np.radians(63) < high
+    assert high - low < np.radians(12)
+    gaussian = sample_posterior(result).estimates["angle"].interval_95
+    assert not gaussian[0] < np.radians(63) < gaussian[1]
+
+
+def test_a_problem_is_fitted_first(bench, nested):
+    again = sample_posterior(bench.problem)
+    np.testing.assert_allclose(again.samples["angle"], nested.samples["angle"], atol=1e-9)
+
+
+def test_the_noise_level_has_bounds(bench):
+    one = sample_posterior(bench, noise=(0.5, 0.9))
+    assert 0.5 <= one.samples["noise"].min() < one.samples["noise"].max() <= 0.9
+    for wrong in ((0.0, 1.0), (2.0, 1.0), "loud"):
+        with pytest.raises(ValueError, match="noise is"):
+            sample_posterior(bench, noise=wrong)
+
+
+def test_several_measurements_are_predicted_together(tmp_path):
+    matte = vc.Lambertian(RED)
+    measured = {name: noisy(model(63, matte), seed) for name, seed in (("left", 1), ("right", 2))}
+    result = fit(scene_of(70, matte), measured, [free.angle(30, 170)])
+    posterior = sample_posterior(result, draws=300)
+    assert [p.shape[1:] for p in posterior.predicted()] == [(3, 5), (3, 5)]
+    posterior.predictive(tmp_path / "both.svg")
+    text = (tmp_path / "both.svg").read_text()
+    assert "left" in text

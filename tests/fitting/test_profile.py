@@ -3,7 +3,6 @@
 import jax
 import numpy as np
 import pytest
-from scipy.stats import binom
 
 import vcavity_jax as vc
 from fitting import Measurement, fit, free, profile_likelihood
@@ -310,38 +309,3 @@ def test_what_is_not_determined_but_bounded_has_a_flat_profile():
     np.testing.assert_allclose(profile.chi_square, result.chi_square, atol=1e-6)
     assert profile.interval_95 == [(0, 1)]
     assert not profile.closed
-
-
-# Coverage of the 95 % interval: how often it holds the truth.
-
-CASES = {
-    "kink": (90.0, vc.Specular(GOLD), FRONTAL, [free.angle(30, 170)]),
-    "between kinks": (63.0, vc.Specular(GOLD), np.radians([0.0, 25.0, 50.0, 75.0]), [free.angle(30, 170)]),
-    "edge": (140.0, vc.Lambertian(RED), FAN, UNKNOWN),
-}
-
-
-def covered(case, count, seed):
-    """In how many of some replicates the interval of the angle holds the truth."""
-    degrees, material, polar, parameters = CASES[case]
-    clean, random, hits = model(degrees, material, polar), np.random.default_rng(seed), 0
-    for _ in range(count):
-        values = clean + SIGMA * random.standard_normal(clean.shape)
-        pieces = fit(scene_of(70, material), measured(values, polar), parameters).estimates["angle"].interval_95
-        hits += any(low <= np.radians(degrees) <= high for low, high in pieces)
-    return hits
-
-
-def test_intervals_cover_the_truth_in_a_small_sample():
-    """At a kink, where a standard error is of little use: 40 replicates, at one in a thousand of 95 %."""
-    hits = covered("kink", 40, seed=1)
-    assert hits >= binom.ppf(0.0005, 40, 0.95)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", CASES)
-def test_intervals_cover_the_truth(case):
-    """400 replicates, between the exact binomial limits of 95 % at one in a thousand."""
-    hits = covered(case, 400, seed=20240611)
-    print(f"{case}: {hits} of 400")
-    assert binom.ppf(0.0005, 400, 0.95) <= hits <= binom.ppf(0.9995, 400, 0.95)
