@@ -10,6 +10,8 @@ import vcavity_jax as vc
 from fitting.measurement import Measurement
 from fitting.view_plan import PlannedView
 
+_POLAR, _AZIMUTHS = np.arange(0.0, 81.0, 5.0), (0.0, 45.0, 90.0)
+
 
 class Group(NamedTuple):
     """Candidates in one light: (light, view), as arrays of polar angles and azimuths; NaN if all light counts."""
@@ -53,10 +55,20 @@ def _directions(given: Any, what: str) -> tuple[np.ndarray, np.ndarray]:
     return polar, azimuth
 
 
+def _distinct(polar: np.ndarray, azimuth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Without the frontal directions of other azimuths than the first."""
+    frontal = polar == 0
+    kept = ~frontal | (azimuth == azimuth[np.argmax(frontal)])
+    return polar[kept], azimuth[kept]
+
+
 def groups_of(candidates: Any, scene: Any) -> dict[str, Group]:
     """The candidates by the name of their light."""
+    if candidates is None:
+        azimuth, polar = np.meshgrid(np.radians(_AZIMUTHS), np.radians(_POLAR), indexing="ij")
+        candidates = polar, azimuth
     if not isinstance(candidates, Mapping):
-        polar, azimuth = _directions(candidates, "candidates")
+        polar, azimuth = _distinct(*_directions(candidates, "candidates"))
         return {type(scene.illumination).__name__.lower(): Group(scene.illumination, polar, azimuth, False)}
     found = {}
     for name, pair in candidates.items():
@@ -69,7 +81,7 @@ def groups_of(candidates: Any, scene: Any) -> dict[str, Group]:
             nowhere = np.full(1, np.nan)
             found[str(name)] = Group(light, nowhere, nowhere, True)
         else:
-            found[str(name)] = Group(light, *_directions(view, f"candidates[{name!r}]"), False)
+            found[str(name)] = Group(light, *_distinct(*_directions(view, f"candidates[{name!r}]")), False)
         if not isinstance(light, vc.scene.Illumination):
             raise ValueError(
                 f"candidates[{name!r}]: {type(light).__name__} is not a light; expected (illumination, directions)"

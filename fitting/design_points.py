@@ -12,6 +12,7 @@ from fitting.problem import Problem
 from fitting.result import FitResult
 from fitting.spectra import as_array
 
+_ANGLE = math.radians(3.0)
 _SHARE = 0.01
 """Half-width of what a plan allows for without a fit, as a share of the allowed range."""
 
@@ -69,6 +70,8 @@ def half_widths(
             ends = estimate.interval_95[0][0], estimate.interval_95[-1][1]
             error = estimate.standard_error
             found[p.name] = 2 * error if math.isfinite(error) else (ends[1] - ends[0]) / 2
+        elif p.unit == "rad":
+            found[p.name] = _ANGLE
         else:
             range_of = float(p.natural(p.upper) - p.natural(p.lower))
             found[p.name] = _SHARE * range_of * (values[i] if p.scale == "log" else 1.0)

@@ -30,9 +30,9 @@ _PLACEHOLDER = 0.5
 
 def plan_views(
     scene: Any,
-    free: Sequence[Any] | None,
-    candidates: Any,
-    count: int,
+    free: Sequence[Any] | None = None,
+    candidates: Any = None,
+    count: int = 1,
     noise: Any = None,
     *,
     measured: Any = None,
@@ -63,7 +63,9 @@ def plan_views(
         free: as for ``fit``; None for those of a ``FitResult``.
         candidates: directions, as a ``View`` or (polar, azimuth), radians, which broadcast; or several lights, a
             dictionary of names and (illumination, directions), where the directions may be a ``Hemisphere``. Each
-            one is chosen at most once: list it twice to allow that.
+            one is chosen at most once: list it twice to allow that. Along the normal the azimuth means nothing:
+            of several ones the first counts. None for polar angles of 0 to 80° in steps of 5° and azimuths of 0,
+            45 and 90°.
         count: how many to choose.
         noise: expected standard uncertainty of a value, as a fraction: one number, or one per wavelength, shape
             (L,). None for that of what is measured (its root mean square).
@@ -77,8 +79,8 @@ def plan_views(
         interest: names of what matters; None for the numbers whose whole range is searched (angle, roughness,
             ...), or else all that is free in the scene.
         spread: half-width within which what is searched may differ from the scene's value, in its own unit
-            (radians), by name if several are searched. None for two standard errors of a ``FitResult``, or 1 % of
-            the allowed range. The plan holds for five values across it.
+            (radians), by name if several are searched. None for two standard errors of a ``FitResult``, or 3° of
+            an angle and 1 % of the allowed range of anything else. The plan holds for five values across it.
         over_spread: "worst" minimizes the worst criterion of these values, "mean" their mean.
         tolerance: bound on the model's numerical error.
 

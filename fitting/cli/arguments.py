@@ -295,7 +295,7 @@ def _add_plan_options(plan: argparse.ArgumentParser) -> None:
         type=words.half_width,
         metavar="WIDTH",
         help="half-width within which that may be wrong, 3deg or 0.05; the plan is best for the worst value in it "
-        "(default: 1 %% of its allowed range)",
+        "(default: 3 degrees, or 1 %% of the range of a roughness)",
     )
     add_free_options(plan)
     choice = plan.add_argument_group("the choice")

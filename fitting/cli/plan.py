@@ -28,9 +28,7 @@ def run(given: argparse.Namespace) -> int:
     wavelengths = np.array(given.wavelengths)
     lights = {_called(words_of): scenes.light(words_of) for words_of in given.illumination or [("diffuse",)]}
     azimuth, polar = np.meshgrid(np.deg2rad(given.azimuth), np.deg2rad(given.polar), indexing="ij")
-    # Along the normal the azimuth means nothing: it is one candidate.
-    distinct = (polar != 0) | (np.arange(len(azimuth)) == 0)[:, None]
-    view = vc.View(polar[distinct], azimuth[distinct])
+    view = vc.View(polar.ravel(), azimuth.ravel())
     scene = vc.Scene(
         scenes.surface(sample), scenes.material(sample, wavelengths), next(iter(lights.values())), vc.View()
     )
@@ -59,6 +57,8 @@ def run(given: argparse.Namespace) -> int:
         print(json.dumps(plan.to_dict(), indent=2, ensure_ascii=False, allow_nan=False))
     else:
         print(plan.summary())
+        if sample.material != "specular" and sample.reflectance is None:
+            print("reflectance: a gray of 0.5 is assumed; expected --reflectance with what the sample is like")
         print(*(f"wrote {path}\n" for path in written), sep="", end="")
     if plan.all_identifiable:
         return 0

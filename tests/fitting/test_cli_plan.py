@@ -29,7 +29,7 @@ def test_plan_has_help(capsys):
     out = capsys.readouterr().out
     assert out.startswith("usage: vcavity plan")
     assert "--measured POLAR,AZIMUTH" in out
-    assert "(default: 1 % of its allowed range)" in " ".join(out.split())
+    assert "(default: 3 degrees, or 1 % of the range of a roughness)" in " ".join(out.split())
 
 
 def test_plan_prints_and_writes(capsys, tmp_path):
@@ -84,6 +84,14 @@ def test_plan_is_that_of_the_library(capsys):
     assert printed["parameters"]["angle"]["standard_error"] == pytest.approx(
         np.degrees(plan.standard_errors["angle"]).tolist()
     )
+
+
+def test_an_assumed_gray_is_told(capsys):
+    gray = [*MATTE[:-1], *USUAL, *UNKNOWN]
+    assert main(gray) == 0
+    assert "reflectance: a gray of 0.5 is assumed" in capsys.readouterr().out
+    assert main([*MATTE, FLAT, *USUAL, *UNKNOWN]) == 0
+    assert "assumed" not in capsys.readouterr().out
 
 
 def test_plan_without_an_answer_has_status_1(capsys):

@@ -101,7 +101,7 @@ def test_a_fit_reports_what_was_predicted():
     for name in ("angle", "gain", "offset", "reflectance"):
         # The same Cramér-Rao bound; the minimum of noise-free data is the truth but for the steps of the descent.
         assert result.estimates[name].standard_error == pytest.approx(plan.standard_errors[name][-1], rel=1e-3)
-    again = plan_views(result, None, FAN, 1)
+    again = plan_views(result, candidates=FAN)
     assert again.standard_errors["angle"][0] == pytest.approx(result.estimates["angle"].standard_error, rel=1e-3)
     assert again.spread["angle"] == pytest.approx(2 * result.estimates["angle"].standard_error)
     assert again.noise == pytest.approx(SIGMA)
@@ -360,7 +360,7 @@ def test_a_plan_is_written(tmp_path):
     text = plan.summary()
     assert "1 measured" in text
     assert "noise 0.005" in text
-    assert "planned for angle 60 ± 1.8 deg" in text
+    assert "planned for angle 60 ± 3 deg" in text
 
 
 @pytest.mark.parametrize(
@@ -462,3 +462,16 @@ def test_the_example_of_the_page_runs(monkeypatch, capsys, tmp_path):
     before, *_, after = shared["plan"].standard_errors["angle"]
     assert after < before < np.inf
     assert (tmp_path / "next.png").exists()
+
+
+def test_candidates_by_default_and_along_the_normal():
+    """A fan of 49 directions; along the normal the azimuth means nothing."""
+    plan = plan_views(matte(60), [free.angle()], noise=SIGMA)
+    assert len(plan.candidates) == 49
+    assert len(plan.views) == 1
+    assert plan.spread["angle"] == pytest.approx(np.radians(3))
+    azimuth, polar = np.meshgrid([0.0, 0.5, 1.0], [0.0, 0.7], indexing="ij")
+    plan = plan_views(matte(60), [free.angle()], (polar, azimuth), 2, SIGMA)
+    assert [v.polar for v in plan.candidates].count(0.0) == 1
+    twice = plan_views(matte(60), [free.angle()], ([0.0, 0.0], [0.0, 0.0]), 2, SIGMA)
+    assert len(twice.candidates) == 2
