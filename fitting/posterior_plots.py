@@ -42,6 +42,7 @@ def plot_corner(posterior: Posterior, path: str | PathLike[str]) -> None:
             levels=(0.68, 0.95),
             quantiles=[0.025, 0.5, 0.975],
             plot_datapoints=False,
+            smooth=1.0,
             max_n_ticks=3,
             labelpad=0.12,
             hist_kwargs={"linewidth": 1.0},

@@ -227,8 +227,14 @@ def _of_draws(
         log_evidence=None if constant is None else drawn.log_integral + constant,
         warnings=warnings,
         converged=good,
-        message="The draws are independent." if good else "Too few draws carry the weight.",
+        message=_worth(drawn) if good else "Too few draws carry the weight.",
     )
+
+
+def _worth(drawn: Draws) -> str:
+    if drawn.effective >= 0.999 * len(drawn.natural):
+        return "The draws are independent."
+    return f"The draws are weighted, and worth {drawn.effective:.0f} independent ones."
 
 
 def _of_nuts(result: FitResult, own: Density, drawn: NutsDraws) -> Posterior:

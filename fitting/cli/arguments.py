@@ -17,7 +17,7 @@ from fitting.readers.geometry import GEOMETRIES
 ILLUMINANTS = ("A", "C", "D50", "D55", "D65", "D75", "E", "FL2", "FL7", "FL11")
 
 # As in `fitting.sampling`, which a test compares.
-SAMPLERS = ("auto", "nested", "emcee", "importance")
+SAMPLERS = ("auto", "nested", "emcee", "importance", "nuts")
 
 _DESCRIPTION = """\
 Appearance of V-grooved surfaces: from a measured spectrum to the groove's angle or the roughness, and back.
@@ -172,7 +172,7 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
         "--sampler",
         choices=SAMPLERS,
         help="nested grid where it applies (default), emcee (which keeps chain.h5 to resume from), "
-        "or importance sampling",
+        "importance sampling, or nuts (the extra of that name)",
     )
     sampled.add_argument("--seed", type=words.count, metavar="N", help="of the random numbers (default: 1)")
     output = fit.add_argument_group("output")
