@@ -18,13 +18,23 @@ OBSERVERS = {
     "CIE 1931": "CIE 1931 2 Degree Standard Observer",
     "CIE 1964": "CIE 1964 10 Degree Standard Observer",
 }
-ILLUMINANTS = ("A", "C", "D50", "D55", "D65", "D75", "E", "FL2", "FL7", "FL11")
+ILLUMINANTS = (
+    *("A", "C", "D50", "D55", "D65", "D75", "E"),
+    *(f"FL{i}" for i in range(1, 13)),
+    *(f"FL3.{i}" for i in range(1, 16)),
+    *("LED-B1", "LED-B2", "LED-B3", "LED-B4", "LED-B5", "LED-BH1", "LED-RGB1", "LED-V1", "LED-V2"),
+)
+
+
+def number(value: float) -> str:
+    """Digits that read back as the same number."""
+    return repr(float(value)).removesuffix(".0")
 
 
 def table(header: str, wavelengths: list[float], rows: list[list[float]]) -> str:
     """A CSV table; every number reads back as it was."""
     numbers = [[nm, *row] for nm, row in zip(wavelengths, rows, strict=True)]
-    lines = [",".join(repr(float(number)).removesuffix(".0") for number in row) for row in numbers]
+    lines = [",".join(map(number, row)) for row in numbers]
     return "\n".join([header, *lines]) + "\n"
 
 
@@ -37,10 +47,14 @@ def tables() -> dict[str, str]:
         files[f"{name.replace(' ', '-')}.csv"] = table(
             header, functions.wavelengths.tolist(), functions.values.tolist()
         )
-    for name in ILLUMINANTS:
-        power = colour.SDS_ILLUMINANTS[name]
-        values = power.values[:, None].tolist()
-        files[f"{name}.csv"] = table("wavelength_nm,power", power.wavelengths.tolist(), values)
+    # One table: empty where an illuminant is not tabulated.
+    columns = [
+        dict(zip(s.wavelengths, s.values, strict=True)) for s in map(colour.SDS_ILLUMINANTS.get, ILLUMINANTS)
+    ]
+    lines = [",".join(["wavelength_nm", *ILLUMINANTS])]
+    for nm in sorted(set().union(*columns)):
+        lines.append(",".join([number(nm), *(number(c[nm]) if nm in c else "" for c in columns)]))
+    files["illuminants.csv"] = "\n".join(lines) + "\n"
     return files
 
 

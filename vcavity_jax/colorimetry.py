@@ -16,12 +16,24 @@ from numpy.typing import ArrayLike as Wavelengths
 from numpy.typing import NDArray
 
 Observer = Literal["CIE 1931", "CIE 1964"]
-Illuminant = Literal["A", "C", "D50", "D55", "D65", "D75", "E", "FL2", "FL7", "FL11"]
+# fmt: off
+Illuminant = Literal[
+    "A", "C", "D50", "D55", "D65", "D75", "E",
+    "FL1", "FL2", "FL3", "FL4", "FL5", "FL6", "FL7", "FL8", "FL9", "FL10", "FL11", "FL12",
+    "FL3.1", "FL3.2", "FL3.3", "FL3.4", "FL3.5", "FL3.6", "FL3.7", "FL3.8", "FL3.9", "FL3.10", "FL3.11", "FL3.12",
+    "FL3.13", "FL3.14", "FL3.15",
+    "LED-B1", "LED-B2", "LED-B3", "LED-B4", "LED-B5", "LED-BH1", "LED-RGB1", "LED-V1", "LED-V2",
+]
+# fmt: on
+Practice = Literal["ASTM E308", "sum"]
 OBSERVERS: tuple[Observer, ...] = get_args(Observer)
+PRACTICES: tuple[Practice, ...] = get_args(Practice)
 ILLUMINANTS: tuple[Illuminant, ...] = get_args(Illuminant)
 
 _COARSEST_NM = 20.0
 _VISIBLE_NM = (400.0, 700.0)
+_PRACTICE_NM = np.arange(360.0, 781.0)
+_PRACTICE_STEPS = (1, 5, 10, 20)
 # Wavelengths that single precision rounded are still equally spaced, and still inside.
 _EDGE = 1e-6
 
@@ -44,13 +56,19 @@ def xyz(
     observer: Observer = "CIE 1931",
     *,
     partial: bool = False,
+    practice: Practice | None = None,
 ) -> Float[Array, "*batch 3"]:
     """Tristimulus values X, Y, Z of a reflecting surface; Y = 100 for the perfect diffuser.
 
-    X = 100 Σ R S x̄ / Σ S ȳ and so on: sums over the wavelengths given, of the illuminant S and the
-    color-matching functions at these wavelengths. Tables are interpolated linearly: observers between 1 nm,
-    illuminants between 5 nm, as the CIE defines them. The sum is compared with others' fairly only over the same
-    wavelengths, and so are colors.
+    X = 100 Σ R S x̄ / Σ S ȳ and so on, with the illuminant S and the color-matching functions, in one of two
+    practices:
+
+    - "ASTM E308", for 1, 5, 10 and 20 nm: the sum over 360 to 780 nm, where 10 and 20 nm data are interpolated
+      to 1 nm by the standard's polynomials, and end values stand for what was not measured.
+    - "sum", for any equal step: over the wavelengths given. It is compared with others' fairly only over the same
+      wavelengths.
+
+    Tables are interpolated linearly: observers between 1 nm, illuminants between 5 nm, as the CIE defines them.
 
     Args:
         reflectance: reflectance or reflectance factor, fraction, shape (..., L).
@@ -59,18 +77,20 @@ def xyz(
         observer: one of ``OBSERVERS``: "CIE 1931" sees a field of 2°, "CIE 1964" one of 10°.
         partial: accept wavelengths that do not cover 400 to 700 nm. The result is then a color of what is there
             and comparable only with colors over the same wavelengths.
+        practice: one of ``PRACTICES``; None for ASTM E308 where the wavelengths are multiples of their step of 1,
+            5, 10 or 20 nm (of 10 nm for 20), else the sum.
 
     Returns:
         X, Y, Z in the last axis, shape (..., 3).
 
     Raises:
-        ValueError: an unknown illuminant or observer; wavelengths that are not equally spaced, too coarse,
-            outside the tables, or do not cover the visible range; a spectrum of another length.
+        ValueError: an unknown illuminant, observer or practice; wavelengths that are not equally spaced, too
+            coarse, outside the tables, or do not cover the visible range; a spectrum of another length.
 
     References:
-        [CIE15, section 7.1]; [SaintPierre2020, section 2.5] sums in the same way.
+        [ASTME308]; [CIE15, section 7.1]; [SaintPierre2020, section 2.5] takes the sum.
     """
-    weights = _weights(_checked_wavelengths(wavelengths_nm, partial), illuminant, observer)
+    weights = _weights(_checked_wavelengths(wavelengths_nm, partial), illuminant, observer, practice)
     spectrum = _real(reflectance)
     if spectrum.ndim == 0 or spectrum.shape[-1] != weights.shape[0]:
         raise ValueError(
@@ -86,6 +106,7 @@ def white(
     observer: Observer = "CIE 1931",
     *,
     partial: bool = False,
+    practice: Practice | None = None,
 ) -> Float[Array, "3"]:
     """Tristimulus values of the perfect diffuser, over the same wavelengths as the colors that refer to it.
 
@@ -94,6 +115,7 @@ def white(
         illuminant: as for ``xyz``.
         observer: as for ``xyz``.
         partial: as for ``xyz``.
+        practice: as for ``xyz``.
 
     Returns:
         X, Y, Z with Y = 100, shape (3,).
@@ -101,7 +123,8 @@ def white(
     Raises:
         ValueError: as ``xyz``.
     """
-    return xyz(jnp.ones(np.shape(wavelengths_nm)), wavelengths_nm, illuminant, observer, partial=partial)
+    ones = jnp.ones(np.shape(wavelengths_nm))
+    return xyz(ones, wavelengths_nm, illuminant, observer, partial=partial, practice=practice)
 
 
 def lab(xyz: Float[ArrayLike, "*batch 3"], white: Float[ArrayLike, "*#batch 3"]) -> Float[Array, "*batch 3"]:
@@ -187,6 +210,43 @@ def srgb(
     return jnp.clip(encoded, 0, 1) if clip else encoded
 
 
+def delta_e_76(lab1: Float[ArrayLike, "*batch 3"], lab2: Float[ArrayLike, "*batch 3"]) -> Float[Array, "*batch"]:
+    """Color difference ΔE*ab, the distance in CIELAB; its gradient for equal colors is returned as 0.
+
+    Args:
+        lab1: L*, a*, b*, shape (..., 3).
+        lab2: the same of the other color; both broadcast.
+
+    Returns:
+        ΔE*ab ≥ 0, shape (...).
+
+    References:
+        [CIE15, section 8.2.1.3].
+    """
+    return _root(jnp.sum((_real(lab1) - _real(lab2)) ** 2, axis=-1))
+
+
+def delta_e_94(lab1: Float[ArrayLike, "*batch 3"], lab2: Float[ArrayLike, "*batch 3"]) -> Float[Array, "*batch"]:
+    """Color difference ΔE*94 for graphic arts, k_L = 1, K₁ = 0.045, K₂ = 0.015; gradients as of ``delta_e_2000``.
+
+    Args:
+        lab1: L*, a*, b* of the reference, shape (..., 3): it is not symmetric.
+        lab2: the same of the sample; both broadcast.
+
+    Returns:
+        ΔE*94 ≥ 0, shape (...).
+
+    References:
+        [CIE15, section 8.2.3]: superseded by CIEDE2000, but still asked for.
+    """
+    first, second = jnp.broadcast_arrays(_real(lab1), _real(lab2))
+    chroma = _length(first[..., 1], first[..., 2])
+    step = _length(second[..., 1], second[..., 2]) - chroma
+    light, a, b = (first[..., i] - second[..., i] for i in range(3))
+    hue = jnp.maximum(a**2 + b**2 - step**2, 0)
+    return _root(light**2 + (step / (1 + 0.045 * chroma)) ** 2 + hue / (1 + 0.015 * chroma) ** 2)
+
+
 def delta_e_2000(lab1: Float[ArrayLike, "*batch 3"], lab2: Float[ArrayLike, "*batch 3"]) -> Float[Array, "*batch"]:
     """Color difference ΔE₀₀ (CIEDE2000) with k_L = k_C = k_H = 1.
 
@@ -203,11 +263,28 @@ def delta_e_2000(lab1: Float[ArrayLike, "*batch 3"], lab2: Float[ArrayLike, "*ba
     References:
         [Sharma2005]; [CIE15, section 8.3.1].
     """
+    return _root(jnp.sum(components_2000(lab1, lab2) ** 2, axis=-1))
+
+
+def components_2000(
+    lab1: Float[ArrayLike, "*batch 3"], lab2: Float[ArrayLike, "*batch 3"]
+) -> Float[Array, "*batch 3"]:
+    """Three numbers whose squares add up to ΔE₀₀²: of lightness, of chroma (turned by the rotation), of hue.
+
+    They are smooth where two colors are equal and ΔE₀₀ itself is not: residuals for least squares.
+
+    Args:
+        lab1: L*, a*, b*, shape (..., 3).
+        lab2: the same of the other color; both broadcast.
+
+    Returns:
+        Signed components, shape (..., 3).
+    """
     return _difference(*jnp.broadcast_arrays(_real(lab1), _real(lab2)))
 
 
 @jax.jit
-def _difference(first: Float[Array, "*batch 3"], second: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+def _difference(first: Float[Array, "*batch 3"], second: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
     l1, a1, b1 = first[..., 0], first[..., 1], first[..., 2]
     l2, a2, b2 = second[..., 0], second[..., 1], second[..., 2]
     mean_chroma = (_length(a1, b1) + _length(a2, b2)) / 2
@@ -240,8 +317,9 @@ def _difference(first: Float[Array, "*batch 3"], second: Float[Array, "*batch 3"
     scaled_h = delta_hue / (1 + 0.015 * chroma * t)
     blue = jnp.exp(-(((jnp.rad2deg(hue) - 275) / 25) ** 2))
     rotation = -2 * _saturation(chroma) * jnp.sin(np.radians(60.0).item() * blue)
-    squared = scaled_l**2 + scaled_c**2 + scaled_h**2 + rotation * scaled_c * scaled_h
-    return _root(squared)
+    # l² + c² + h² + R c h as a sum of squares; |R| < √3.
+    turned = scaled_c + rotation / 2 * scaled_h
+    return jnp.stack([scaled_l, turned, scaled_h * jnp.sqrt(1 - rotation**2 / 4)], axis=-1)
 
 
 def _saturation(chroma: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -307,11 +385,28 @@ def _checked_wavelengths(wavelengths_nm: Wavelengths, partial: bool) -> NDArray[
     return wavelengths
 
 
-def _weights(wavelengths: NDArray[np.float64], illuminant: str, observer: str) -> NDArray[np.float64]:
+def _weights(
+    wavelengths: NDArray[np.float64], illuminant: str, observer: str, practice: str | None
+) -> NDArray[np.float64]:
     """What to multiply a spectrum with, shape (L, 3)."""
-    for name, known, what in ((illuminant, ILLUMINANTS, "illuminant"), (observer, OBSERVERS, "observer")):
+    for name, known, what in (
+        (illuminant, ILLUMINANTS, "an illuminant"),
+        (observer, OBSERVERS, "an observer"),
+        ("sum" if practice is None else practice, PRACTICES, "a practice"),
+    ):
         if name not in known:
-            raise ValueError(f"{name!r} is not an {what}: expected one of {', '.join(known)}")
+            raise ValueError(f"{name!r} is not {what}: expected one of {', '.join(known)}")
+    step = abs(wavelengths[-1] - wavelengths[0]) / (wavelengths.size - 1)
+    nearest = round(step)
+    offset = np.abs(wavelengths - np.round(wavelengths / min(nearest, 10)) * min(nearest, 10)) if nearest else step
+    defined = nearest in _PRACTICE_STEPS and bool(np.all(offset < _EDGE * wavelengths))
+    if practice == "ASTM E308" and not defined:
+        raise ValueError(
+            f"ASTM E308 is not defined for {wavelengths[0]:g} to {wavelengths[-1]:g} nm in steps of {step:g} nm: "
+            "expected multiples of a step of 1, 5, 10 or 20 nm, or practice='sum'"
+        )
+    if defined and practice != "sum":
+        return _practice_weights(np.round(wavelengths), nearest, illuminant, observer)
     power, functions = _table(illuminant), _table(observer)
     low, high = (float(pick(power[end, 0], functions[end, 0])) for pick, end in ((max, 0), (min, -1)))
     outside = (wavelengths < low * (1 - _EDGE)) | (wavelengths > high * (1 + _EDGE))
@@ -328,9 +423,78 @@ def _weights(wavelengths: NDArray[np.float64], illuminant: str, observer: str) -
     return 100 * weights / weights[:, 1].sum()
 
 
+def _practice_weights(
+    wavelengths: NDArray[np.float64], step: int, illuminant: str, observer: str
+) -> NDArray[np.float64]:
+    """Weights of ASTM E308, shape (L, 3); 0 beyond 360 to 780 nm.
+
+    References:
+        [ASTME308]; [ASTME2022] for the interpolation of 10 nm data.
+    """
+    power, functions = _table(illuminant), _table(observer)
+    light = np.interp(_PRACTICE_NM, power[:, 0], power[:, 1])
+    matching = [np.interp(_PRACTICE_NM, functions[:, 0], column) for column in functions[:, 1:].T]
+    weights = light[:, None] * np.stack(matching, axis=-1)
+    order = np.argsort(wavelengths)
+    rising = wavelengths[order]
+    inside = (rising >= _PRACTICE_NM[0]) & (rising <= _PRACTICE_NM[-1])
+    known = rising[inside]
+    finer = min(step, 10)
+    weights = _interpolation(len(_PRACTICE_NM), finer).T @ weights if finer == 10 else weights[::finer]
+    weights = weights * 100 / weights[:, 1].sum()
+    # The end values stand for what was not measured.
+    first, last = (int(known[end] - _PRACTICE_NM[0]) // finer for end in (0, -1))
+    folded = weights[first : last + 1].copy()
+    folded[0] += weights[:first].sum(axis=0)
+    folded[-1] += weights[last + 1 :].sum(axis=0)
+    if step == 20:
+        folded = _halved(len(known)).T @ folded
+    found = np.zeros((wavelengths.size, 3))
+    found[order[inside]] = folded
+    return found
+
+
+def _interpolation(count: int, step: int) -> NDArray[np.float64]:
+    """From values at every so many places to all: cubic, and quadratic in the first and last interval."""
+    coarse = np.arange(0, count, step)
+    matrix = np.zeros((count, coarse.size))
+    for place in range(count):
+        interval = min(place // step, coarse.size - 2)
+        first = int(np.clip(interval - 1, 0, coarse.size - 4))
+        nodes = np.arange(first, first + 4)
+        if interval == 0:
+            nodes = nodes[:3]
+        elif interval == coarse.size - 2:
+            nodes = nodes[1:]
+        for i in nodes:
+            others = coarse[nodes[nodes != i]]
+            matrix[place, i] = np.prod((place - others) / (coarse[i] - others))
+    return matrix
+
+
+def _halved(count: int) -> NDArray[np.float64]:
+    """From values at every 20 nm to every 10 nm: cubic; beyond the ends the parabola through the last three."""
+    values = np.eye(count)
+    below = 3 * values[0] - 3 * values[1] + values[2]
+    above = 3 * values[-1] - 3 * values[-2] + values[-3]
+    padded = np.concatenate([below[None], values, above[None]])
+    between = (-padded[:-3] + 9 * padded[1:-2] + 9 * padded[2:-1] - padded[3:]) / 16
+    found = np.empty((2 * count - 1, count))
+    found[::2], found[1::2] = values, between
+    return found
+
+
 @functools.cache
 def _table(name: str) -> NDArray[np.float64]:
-    path = importlib.resources.files("vcavity_jax") / "data" / "cie" / f"{name.replace(' ', '-')}.csv"
-    table = np.loadtxt(path.read_text(encoding="utf-8").splitlines(), delimiter=",", skiprows=1)
+    """Wavelengths and the columns of an observer, or the power of an illuminant."""
+    path = importlib.resources.files("vcavity_jax") / "data" / "cie"
+    if name in OBSERVERS:
+        lines = (path / f"{name.replace(' ', '-')}.csv").read_text(encoding="utf-8").splitlines()
+        table = np.loadtxt(lines, delimiter=",", skiprows=1)
+    else:
+        lines = (path / "illuminants.csv").read_text(encoding="utf-8").splitlines()
+        column = lines[0].split(",").index(name)
+        rows = [line.split(",") for line in lines[1:]]
+        table = np.array([[float(row[0]), float(row[column])] for row in rows if row[column]])
     table.flags.writeable = False
     return table

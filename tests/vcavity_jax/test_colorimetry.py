@@ -79,12 +79,62 @@ def summed(
     return np.stack([(spectra * light * row).sum(-1) for row in rows], -1) * 100 / (light * rows[1]).sum()
 
 
+RANGES = {
+    1: [(360, 780), (400, 700)],
+    5: [(360, 780), (380, 730)],
+    10: [(360, 780), (380, 730), (400, 700), (340, 800)],
+    20: [(360, 780), (400, 700), (390, 730), (320, 800)],
+}
+
+
+@pytest.mark.filterwarnings("ignore")  # of the alignment that the standard asks for
+@pytest.mark.parametrize("step", RANGES)
+@pytest.mark.parametrize("illuminant", ["A", "C", "D50", "D65", "E", "FL2", "FL3.7", "LED-B3"])
+def test_the_practice_of_astm_e308(colour: Any, illuminant: Any, step: int) -> None:
+    for first, last in RANGES[step]:
+        nm = np.arange(first, last + 1.0, step)
+        spectrum = RANDOM.uniform(0, 1, nm.size)
+        known = colour.SpectralDistribution(dict(zip(nm, spectrum, strict=True)))
+        for observer, name in (("CIE 1931", "2 Degree"), ("CIE 1964", "10 Degree")):
+            functions = colour.MSDS_CMFS[f"{observer} {name} Standard Observer"]
+            truth = colour.sd_to_XYZ(known, functions, colour.SDS_ILLUMINANTS[illuminant], method="ASTM E308")
+            value = colorimetry.xyz(spectrum, nm, illuminant, observer)  # type: ignore[arg-type]
+            np.testing.assert_allclose(value, truth, rtol=0, atol=1e-10)
+            falling = colorimetry.xyz(spectrum[::-1], nm[::-1], illuminant, observer)  # type: ignore[arg-type]
+            np.testing.assert_allclose(falling, value, rtol=0, atol=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_bundled_spectra_have_the_colors_of_colour(colour: Any) -> None:
+    """Every patch of the ColorChecker, measured at 10 nm."""
+    patches = colour.SDS_COLOURCHECKERS["BabelColor Average"]
+    functions, power = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"], colour.SDS_ILLUMINANTS["D50"]
+    nm = next(iter(patches.values())).wavelengths
+    truth = np.stack([colour.sd_to_XYZ(p, functions, power, method="ASTM E308") for p in patches.values()])
+    spectra = np.stack([p.values for p in patches.values()])
+    np.testing.assert_allclose(colorimetry.xyz(spectra, nm, "D50"), truth, rtol=0, atol=1e-10)
+
+
+def test_ten_nanometers_are_nearly_as_good_as_one() -> None:
+    """What the practice is for: a smooth spectrum and a lamp with lines."""
+    fine, coarse = np.arange(380.0, 781.0), np.arange(380.0, 781.0, 10.0)
+
+    def smooth(nm: np.ndarray) -> np.ndarray:
+        return 0.5 + 0.4 * np.sin(nm / 40)
+
+    truth = np.asarray(colorimetry.xyz(smooth(fine), fine, "FL11"))
+    by_practice = np.asarray(colorimetry.xyz(smooth(coarse), coarse, "FL11"))
+    by_sum = np.asarray(colorimetry.xyz(smooth(coarse), coarse, "FL11", practice="sum"))
+    assert np.abs(by_practice - truth).max() < 0.02
+    assert np.abs(by_sum - truth).max() > 0.2
+
+
 @pytest.mark.parametrize("observer", colorimetry.OBSERVERS)
 @pytest.mark.parametrize("illuminant", colorimetry.ILLUMINANTS)
 def test_sums_are_those_of_the_cie_tables(colour: Any, illuminant: Any, observer: Any) -> None:
     for wavelengths in (VISIBLE, np.linspace(780, 380, 401), np.linspace(381.5, 751.5, 38)):
         spectra = RANDOM.uniform(0, 1, (2, 3, wavelengths.size))
-        value = colorimetry.xyz(spectra, wavelengths, illuminant, observer)
+        value = colorimetry.xyz(spectra, wavelengths, illuminant, observer, practice="sum")
         truth = summed(colour, spectra, wavelengths, illuminant, observer)
         np.testing.assert_allclose(value, truth, rtol=0, atol=1e-10)
 
@@ -135,8 +185,20 @@ def test_srgb_agrees_with_colour(colour: Any) -> None:
 
 
 def test_differences_agree_with_colour(colour: Any) -> None:
-    truth = colour.delta_E(LABS[0], LABS[1], method="CIE 2000")
-    np.testing.assert_allclose(colorimetry.delta_e_2000(LABS[0], LABS[1]), truth, rtol=0, atol=1e-10)
+    for ours, method in (("delta_e_2000", "CIE 2000"), ("delta_e_76", "CIE 1976"), ("delta_e_94", "CIE 1994")):
+        known = {"textiles": False} if method == "CIE 1994" else {}
+        truth = colour.delta_E(LABS[0], LABS[1], method=method, **known)
+        np.testing.assert_allclose(getattr(colorimetry, ours)(LABS[0], LABS[1]), truth, rtol=0, atol=1e-10)
+
+
+def test_components_add_up_and_are_smooth_at_equal_colors() -> None:
+    parts = np.asarray(colorimetry.components_2000(LABS[0], LABS[1]))
+    difference = np.asarray(colorimetry.delta_e_2000(LABS[0], LABS[1]))
+    np.testing.assert_allclose(np.linalg.norm(parts, axis=-1), difference, rtol=1e-12)
+    jacobian = jax.jacfwd(colorimetry.components_2000)(jnp.asarray(LABS[0, 0]), jnp.asarray(LABS[0, 0]))
+    step = 1e-5 * np.array([0.3, -0.5, 0.8])
+    moved = colorimetry.delta_e_2000(LABS[0, 0] + step, LABS[0, 0])
+    assert moved == pytest.approx(np.linalg.norm(jacobian @ step), rel=1e-4)
 
 
 def test_published_differences() -> None:
@@ -168,10 +230,10 @@ def test_partial_spectra_only_if_told() -> None:
     ("change", "said"),
     [
         (
-            {"wavelengths_nm": np.arange(340.0, 741, 10)},
+            {"wavelengths_nm": np.arange(340.0, 741, 10), "practice": "sum"},
             "340 nm is outside the tables of D65 and CIE 1931, 360 nm",
         ),
-        ({"wavelengths_nm": np.arange(400.0, 791, 10)}, "790 nm is outside.*780 nm"),
+        ({"wavelengths_nm": np.arange(400.0, 791, 10), "practice": "sum"}, "790 nm is outside.*780 nm"),
         (
             {"wavelengths_nm": [400.0, 410.0, 430.0]},
             "not equally spaced: from 400 to 410 nm the step is not 15 nm",
@@ -181,6 +243,15 @@ def test_partial_spectra_only_if_told() -> None:
         ({"wavelengths_nm": [550.0]}, r"shape \(1,\) give no color"),
         ({"wavelengths_nm": [400.0, np.nan]}, "give no color"),
         ({"illuminant": "D93"}, "'D93' is not an illuminant: expected one of A, C, D50"),
+        ({"practice": "CIE"}, "'CIE' is not a practice: expected one of ASTM E308, sum"),
+        (
+            {"wavelengths_nm": np.linspace(400, 700, 26), "practice": "ASTM E308"},
+            "E308 is not defined for 400 to 700 nm in steps of 12 nm: expected multiples",
+        ),
+        (
+            {"wavelengths_nm": np.arange(395.0, 751, 10), "practice": "ASTM E308"},
+            "E308 is not defined for 395 to 745 nm in steps of 10 nm",
+        ),
         ({"observer": "2°"}, "'2°' is not an observer: expected one of CIE 1931, CIE 1964"),
         ({"reflectance": np.ones(5)}, r"shape \(5,\) does not fit 36 wavelengths"),
         ({"reflectance": np.float64(1)}, r"shape \(\) does not fit"),
@@ -234,6 +305,8 @@ def test_gradients_of_differences_are_finite_where_there_is_none() -> None:
     neutral, blue, black = np.array([50.0, 0, 0]), np.array([50.0, 10.0, -40.0]), np.zeros(3)
     pairs = [(neutral, neutral), (blue, blue), (neutral, blue), (blue, neutral), (black, black)]
     first, second = map(np.stack, zip(*pairs, strict=True))
+    for difference in (colorimetry.delta_e_76, colorimetry.delta_e_94):
+        assert np.isfinite(jax.jit(jax.vmap(jax.grad(difference, (0, 1))))(first, second)).all()
     gradients = jax.jit(jax.vmap(jax.grad(colorimetry.delta_e_2000, (0, 1))))(first, second)
     assert np.isfinite(gradients).all()
     # For equal colors all directions lead upward: no slope is the fair answer.
