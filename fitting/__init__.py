@@ -10,9 +10,12 @@ if TYPE_CHECKING:
     from fitting import free as free
     from fitting import priors as priors
     from fitting import spectra as spectra
+    from fitting import target as target
     from fitting.comparison import Comparison as Comparison
     from fitting.comparison import compare_models as compare_models
     from fitting.comparison import compare_results as compare_results
+    from fitting.designing import Design as Design
+    from fitting.designing import design as design
     from fitting.many import ManyResult as ManyResult
     from fitting.many import fit_many as fit_many
     from fitting.measurement import Measurement as Measurement
@@ -40,6 +43,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "Comparison": "fitting.comparison",
+    "Design": "fitting.designing",
     "Estimate": "fitting.result",
     "FitResult": "fitting.result",
     "ManyResult": "fitting.many",
@@ -56,6 +60,7 @@ _HOMES = {
     "ViewPlan": "fitting.view_plan",
     "compare_models": "fitting.comparison",
     "compare_results": "fitting.comparison",
+    "design": "fitting.designing",
     "fit": "fitting.solve",
     "fit_many": "fitting.many",
     "plan_views": "fitting.planning",
@@ -67,10 +72,11 @@ _HOMES = {
     "rivals": "fitting.rival",
     "sample_posterior": "fitting.sampling",
 }
-_MODULES = ("free", "priors", "spectra")
+_MODULES = ("free", "priors", "spectra", "target")
 
 __all__ = [
     "Comparison",
+    "Design",
     "Estimate",
     "FitResult",
     "ManyResult",
@@ -87,6 +93,7 @@ __all__ = [
     "ViewPlan",
     "compare_models",
     "compare_results",
+    "design",
     "fit",
     "fit_many",
     "free",
@@ -100,6 +107,7 @@ __all__ = [
     "rivals",
     "sample_posterior",
     "spectra",
+    "target",
 ]
 
 
