@@ -133,7 +133,13 @@ def _metal_problem(missing):
 
 PROBLEMS = {"matte": _matte_problem, "metal": _metal_problem}
 POINTS = {"matte": matte_point, "metal": metal_point}
-CASES = [(kind, missing) for kind in ("matte", "metal") for missing in (False, True)]
+SLOW = pytest.mark.slow
+CASES = [
+    pytest.param("matte", False, marks=SLOW),
+    ("matte", True),
+    pytest.param("metal", False, marks=SLOW),
+    ("metal", True),
+]
 
 
 @pytest.mark.parametrize(("kind", "missing"), CASES)

@@ -511,8 +511,8 @@ class StandIn:
     def summary(self) -> str:
         return "angle 45.00 ± 0.02 deg"
 
-    def to_json(self, path: Path) -> None:
-        path.write_text('{"status": "converged"}\n', encoding="utf-8")
+    def to_dict(self) -> dict[str, Any]:
+        return {"status": "converged"}
 
     def plot(self, path: Path) -> None:
         path.write_bytes(b"picture")

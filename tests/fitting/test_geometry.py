@@ -222,7 +222,7 @@ FITS = [
     ("45a:0", MATTE_75, "matte", 1.0),
     ("45x:0", MATTE_75, "matte", 1.0),
     pytest.param("d:d", vc.BeckmannGrooves(0.5), "gold", 0.03, marks=pytest.mark.slow),
-    ("d:8", vc.GaussianGrooves(0.5), "gold", 0.03),
+    pytest.param("d:8", vc.GaussianGrooves(0.5), "gold", 0.03, marks=pytest.mark.slow),
     ("0:d", vc.GaussianGrooves(0.5), "matte", 0.03),
 ]
 

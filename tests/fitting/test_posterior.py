@@ -275,7 +275,7 @@ def test_r_hat():
         ({"walkers": 4}, r"walkers is 4; expected an even number of at least 6"),
         ({"method": "nested", "walkers": 40}, r"expected method='emcee', not 'nested'"),
         ({"draws": 3}, r"draws is 3; expected a whole number of at least 100"),
-        ({"noise": "loud"}, r"noise is 'loud'; expected 'known' or 'free'"),
+        ({"noise": "loud"}, r"noise is 'loud'; expected 'known', 'free'"),
         ({"student_t": 0.5}, r"student_t is 0.5; expected at least 1"),
         ({"method": "nested", "student_t": 4}, r"does not apply: Student's t"),
         ({"priors": {"angle": (45, 0.5)}}, r"the prior of angle, .* excludes the fit, 62"),

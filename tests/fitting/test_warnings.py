@@ -194,6 +194,7 @@ def test_what_energy_forbids():
     assert "check the calibration" in words
 
 
+@pytest.mark.slow
 def test_a_rival_model_is_refused_by_the_data_or_not():
     """A matte fan is not varnished; a mirror can be seen without its polarization."""
     result = fitted(80, MATTE, across(0, 40, 75), [free.angle(30, 170)])

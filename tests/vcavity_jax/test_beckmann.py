@@ -52,7 +52,7 @@ def traced(model: Any, m: Any, polar: Any, azimuth: Any, index: Any) -> np.ndarr
     return np.asarray(general_path(model)(*padded))[:size]
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", [m if m == "unpol" else pytest.param(m, marks=pytest.mark.slow) for m in MODELS])
 def test_records(model: Any) -> None:
     """1e-8 at a tolerance of 1e-8. Measured 4e-10."""
     records = [r for r in TRUTH if r["model"] == model]
@@ -177,6 +177,7 @@ def flat(material: Any, polar: Any, azimuth: Any) -> np.ndarray:
     return np.asarray(vc.reflectance_factor(scene))
 
 
+@pytest.mark.slow
 def test_smooth_limit_is_the_flat_surface() -> None:
     """m = 0 to the tolerance; m = 1e-4 departs by order m, since that many facets hide or are hidden."""
     polar, azimuth = np.radians([0.0, 40.0, 70.0]), 0.5

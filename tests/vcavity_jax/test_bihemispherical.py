@@ -119,6 +119,7 @@ def test_average_of_the_views() -> None:
         assert abs(value - mean(jnp.radians(degrees), jnp.asarray(index))) < 1e-4, (degrees, index)
 
 
+@pytest.mark.slow
 def test_total_external_reflection() -> None:
     """Flat surfaces, whose one integral can be split where it begins, and finer sampling for all others."""
     indices = np.array([0.5, 0.9, 0.99, 0.3, ENZ, 0.5 + 0.1j, 0.1 + 0.1j, 0.26 + 0.24j])
@@ -143,7 +144,8 @@ def test_total_external_reflection() -> None:
     np.testing.assert_allclose(rough, fine, rtol=0, atol=2e-6)
 
 
-@pytest.mark.parametrize("tame", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("tame", [True, False])
 def test_gradients(tame: bool) -> None:
     """Both modes, jitted with everything known, against differences of the value."""
     index = jnp.asarray([SILVER, SILICON, GLASS] if tame else [SILVER, ENZ, 0.6 + 0.2j])
@@ -228,7 +230,8 @@ def hard_table(tolerance: float) -> BihemisphericalTable:
     return jax.jit(lambda: BihemisphericalTable.build(index, "full", points))()
 
 
-@pytest.mark.parametrize("slopes", [pytest.param("beckmann", marks=pytest.mark.slow), "gaussian"])
+@pytest.mark.slow
+@pytest.mark.parametrize("slopes", ["beckmann", "gaussian"])
 def test_table_keeps_its_tolerance(slopes: Any) -> None:
     """Against a direct integral in u: no interpolation, all its own sampling. Then down to flat surfaces."""
     table, flat = hard_table(1e-7), evaluate(1e-12, None, 180.0, [SILVER, GLASS, 1.001 + 0j, 50 + 0j, 1 + 20j])

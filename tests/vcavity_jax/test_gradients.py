@@ -227,8 +227,14 @@ def all_ways(value: Callable[..., Any], at: float, step: float, model: Any, brie
     np.testing.assert_allclose(jax.jit(jax.grad(arguments))(x, *rest), expected, rtol=1e-6, err_msg="traced")
 
 
-@pytest.mark.parametrize("model", MODELS.values())
-@pytest.mark.parametrize("surface", SURFACES)
+@pytest.mark.parametrize(
+    ("surface", "model"),
+    [
+        pytest.param(s, m, marks=pytest.mark.slow if s == "Beckmann" and m != "unpolarized" else [])
+        for s in SURFACES
+        for m in MODELS.values()
+    ],
+)
 def test_constants_closed_over(surface: str, model: str) -> None:
     value, at, step = SURFACES[surface]
     all_ways(value, at, step, model, brief=surface == "Beckmann" or model == "separate")
@@ -245,7 +251,7 @@ def test_constants_closed_over_in_every_way(value: Any, model: str) -> None:
     ("surface", "view"),
     [
         ("grooves", True),
-        ("Beckmann", False),
+        pytest.param("Beckmann", False, marks=pytest.mark.slow),
         pytest.param("Beckmann", True, marks=pytest.mark.slow),
     ],
 )

@@ -406,7 +406,7 @@ def slopes_of(light: str) -> Callable[..., Any]:
     return run
 
 
-@pytest.mark.parametrize("light", ["diffuse", "directional"])
+@pytest.mark.parametrize("light", ["diffuse", *slow("directional")])
 def test_gradients_match_the_records(light: str) -> None:
     rows = [row for row in TRUTH["gradients"] if (row["light"] == "diffuse") == (light == "diffuse")]
     assert len(rows) > 10
@@ -542,7 +542,8 @@ def test_random_grooves(surface: Any) -> None:
         np.testing.assert_allclose(found, mean, rtol=0, atol=3e-6)
 
 
-@pytest.mark.parametrize("polar", [0.4, *slow(0.8)])
+@pytest.mark.slow
+@pytest.mark.parametrize("polar", [0.4, 0.8])
 def test_alternating_panels_and_equal_panels(polar: float) -> None:
     """Seen in full, which is quick to compile, and masked."""
     first, second = (vc.InterfacedLambertian(rho, 1.5) for rho in (0.9, 0.2))

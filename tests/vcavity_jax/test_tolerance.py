@@ -97,7 +97,10 @@ SAMPLED = {
 
 @pytest.mark.parametrize(
     "kind",
-    [pytest.param(k, marks=pytest.mark.slow) if k in ("diffuse open", "two parallel") else k for k in KINDS],
+    [
+        pytest.param(k, marks=pytest.mark.slow) if k in ("diffuse open", "two parallel", "parallel") else k
+        for k in KINDS
+    ],
 )
 def test_diffusers(kind: str) -> None:
     held(kind, SAMPLED[kind], 4)
