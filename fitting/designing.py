@@ -31,8 +31,8 @@ from fitting.solve import warn_of_float32
 from fitting.target import Look, Target
 from vcavity_jax import colorimetry
 
-_LIMIT_WEIGHT = 10.0
-"""A limit exceeded by ΔE 1 costs as much as a color that is off by 10 steps."""
+_LIMIT_WEIGHT = 100.0
+"""A limit exceeded by ΔE 1 costs as much as a color that is off by 100 steps."""
 
 _SAME = 1e-3
 _MOST_SOLUTIONS = 8

@@ -43,6 +43,12 @@ _MAP_EPILOG = """\
 example:
   vcavity map --angle 45deg --material specular --index Au-Johnson --output gold"""
 
+_DESIGN_EPILOG = """\
+exit status: 0 every target is met; 1 not all of them; 2 bad input
+
+example:
+  vcavity design examples/orange_fold.toml"""
+
 _PLAN_EPILOG = """\
 exit status: 0 everything is identifiable after the planned views; 1 it is not; 2 bad input
 
@@ -115,6 +121,17 @@ def parser() -> argparse.ArgumentParser:
         epilog=_PLAN_EPILOG,
     )
     _add_plan_options(plan)
+
+    designed = commands.add_parser(
+        "design",
+        help="the parameters that make a surface look as wished",
+        description="Find the parameters that bring a surface closest to colors, spectra, and limits on how alike "
+        "or different it looks.",
+        epilog=_DESIGN_EPILOG,
+    )
+    designed.add_argument("file", metavar="FILE", help="what is wished (TOML, see docs/design.md)")
+    designed.add_argument("--output", metavar="FILE", help="write the design as JSON")
+    designed.add_argument("--json", action="store_true", help="print the JSON alone")
 
     materials = commands.add_parser(
         "materials",

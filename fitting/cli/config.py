@@ -29,7 +29,7 @@ _SAMPLE: dict[str, Check] = {
 }
 """What may also be said of one measurement, whose sample then differs in it."""
 
-_SCENE: dict[str, Check] = {
+SCENE: dict[str, Check] = {
     "surface": keys.choice(*words.OWN_PARAMETER),
     "material": keys.choice(*words.MATERIALS),
     **_SAMPLE,
@@ -51,7 +51,7 @@ _FIT: dict[str, Check] = {
 }
 _TOP: dict[str, Check] = {
     "measurement": lambda value, place: _measurement_tables(value, place),
-    "scene": lambda value, place: keys.table(value, place, _SCENE),
+    "scene": lambda value, place: keys.table(value, place, SCENE),
     "parameters": lambda value, place: value,
     "fit": lambda value, place: keys.table(value, place, _FIT),
 }
@@ -70,7 +70,7 @@ def read(path: str, measurement: str | None = None) -> request.Request:
             is expected.
     """
     file = Place(path)
-    content = keys.table(_parsed(path), file, _TOP)
+    content = keys.table(parsed(path), file, _TOP)
     tables = _with_files(content.get("measurement", []), file, measurement)
     labels = _labels(tables, file)
     scene, options = content.get("scene", {}), content.get("fit", {})
@@ -90,7 +90,7 @@ def read(path: str, measurement: str | None = None) -> request.Request:
         try:
             shifted = any(one.name == "wavelength_shift" and label in one.labels for one in freed)
             measured = _measured(table, place, shifted)
-            made[label] = request.seen(_sample(table, place, label, scene, freed), measured), measured
+            made[label] = request.seen(sample(table, place, label, scene, freed), measured), measured
         except (OSError, ValueError) as error:
             message = messages.described(error)
             told = message.startswith(f"{path}: ")
@@ -107,7 +107,7 @@ def read(path: str, measurement: str | None = None) -> request.Request:
     )
 
 
-def _parsed(path: str) -> dict[str, Any]:
+def parsed(path: str) -> dict[str, Any]:
     """The content of a TOML file."""
     source = Path(path)
     if not source.exists():
@@ -225,7 +225,7 @@ def _without(measurement: Measurement, masked: np.ndarray, shifted: bool) -> Mea
     )
 
 
-def _sample(
+def sample(
     table: dict[str, Any], place: Place, label: str, scene: dict[str, Any], freed: list[Freed]
 ) -> scenes.Sample:
     """The sample of one measurement: what the scene says, or the measurement itself."""
