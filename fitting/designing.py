@@ -229,15 +229,14 @@ class _Program:
     def evaluated(self, x: Float[Array, " n"], setting: _Setting) -> _Evaluation:
         """Of numbers in natural coordinates, then free spectra."""
 
-        def everything(x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        def everything(x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array, Array]]:
             factors = self.factors(x, setting.data)
             tristimulus = jnp.einsum("kl,klc->kc", factors, setting.weights, precision="highest")
             colors = colorimetry.lab(tristimulus, setting.whites)
             residuals, reached = self.judged(factors, colors, setting)
-            return (residuals, colors), (reached, colors)
+            return (residuals, colors), (residuals, colors, reached)
 
-        (jacobian, by_unknown), (reached, colors) = jax.jacfwd(everything, has_aux=True)(x)
-        (residuals, _), _ = everything(x)  # The same computation: it is compiled once.
+        (jacobian, by_unknown), (residuals, colors, reached) = jax.jacfwd(everything, has_aux=True)(x)
         by_color = jax.vmap(jax.jacfwd(lambda moved, color: colorimetry.components_2000(color, moved)))(
             colors, colors
         )
@@ -414,7 +413,7 @@ def _problem(
     places = []
     for look in looks:
         light = scene.illumination if look.illumination is None else look.illumination
-        at = next((i for i, known in enumerate(lights) if eqx.tree_equal(known, light) is True), None)
+        at = next((i for i, known in enumerate(lights) if bool(eqx.tree_equal(known, light))), None)
         if at is None:
             lights.append(light)
             members.append([])
