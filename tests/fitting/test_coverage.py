@@ -11,6 +11,8 @@ coverage = importlib.util.module_from_spec(specification)
 specification.loader.exec_module(coverage)
 
 KINK, EDGE = "gold, kink at 90° from the front", "orange, 140°, unknown"
+SHALLOW = "gold, roughness 0.05"
+"""Nearly flat: a prior that is uniform in the logarithm prefers still less."""
 LEVELS = 0.68, 0.95
 
 
@@ -43,7 +45,7 @@ def test_intervals_cover_at_their_rate(case):
         assert total == 400 or kind == "standard error"
         if case == EDGE:
             assert kind == "standard error" or hits >= level * total
-        elif case != KINK or kind == "profile":
+        elif case not in (KINK, SHALLOW) or kind == "profile":
             assert kept(found, name, kind, level), (name, kind, level, hits, total)
         elif kind == "posterior" and level == 0.95:
-            assert 0.7 < hits / total < 0.92
+            assert 0.7 < hits / total < 0.93
