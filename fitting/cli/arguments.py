@@ -14,7 +14,12 @@ from fitting.cli.options import add_free_options, add_scene_options, add_toleran
 from fitting.readers.geometry import GEOMETRIES
 
 # As in `vcavity_jax.colorimetry`, which a test compares; importing that takes half a second.
-ILLUMINANTS = ("A", "C", "D50", "D55", "D65", "D75", "E", "FL2", "FL7", "FL11")
+ILLUMINANTS = (
+    *("A", "C", "D50", "D55", "D65", "D75", "E"),
+    *(f"FL{i}" for i in range(1, 13)),
+    *(f"FL3.{i}" for i in range(1, 16)),
+    *("LED-B1", "LED-B2", "LED-B3", "LED-B4", "LED-B5", "LED-BH1", "LED-RGB1", "LED-V1", "LED-V2"),
+)
 
 # As in `fitting.sampling`, which a test compares.
 SAMPLERS = ("auto", "nested", "emcee", "importance", "nuts")

@@ -100,7 +100,7 @@ def test_options_reach_the_model(capsys: pytest.CaptureFixture[str], tmp_path: P
         (["--observer", "2"], "argument --observer"),
         (["--wavelengths", "450:650:10"], "do not cover 400 to 700 nm: expected the visible range, or --partial"),
         (["--wavelengths", "400,450,700"], "not equally spaced"),
-        (["--wavelengths", "350:750:10"], "350 nm is outside the tables"),
+        (["--wavelengths", "345:745:10"], "345 nm is outside the tables"),
         (["--output", "gone/map"], "there is no folder gone"),
         (["--output", "map.png"], "expected a name without its ending; 'map' writes map.png and map.npz"),
         (["--output", "."], "is a folder"),
