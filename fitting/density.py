@@ -7,7 +7,6 @@ A number without a prior is uniform within its bounds, in its logarithm if it is
 """
 
 import math
-from collections import OrderedDict
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -23,7 +22,7 @@ from fitting.layout import Data, Layout
 from fitting.parameters import Parameter
 from fitting.priors import LogNormal, as_prior
 from fitting.problem import INNER_STEPS, Problem
-from fitting.programs import programs_for
+from fitting.programs import Kept, programs_for
 
 LANES = 16
 """Points per call of a compiled density: half of an ensemble."""
@@ -34,7 +33,6 @@ NOISE = Parameter("noise", None, 0.1, 10.0, scale="log", start=1.0)
 _NODES, _REACH = 13, 5.5
 _NEWTON_STEPS = 4
 _FINE = 129
-_MOST_KEPT = 32
 
 
 class Setting(NamedTuple):
@@ -303,6 +301,10 @@ class Density:
         """Count of the values that are fitted."""
         return sum(int(np.sum(np.asarray(w) > 0)) for w in self.setting.data.weights)
 
+    def noise_at(self, chi_square: Any) -> np.ndarray:
+        """The best noise level for some chi-square, in its natural coordinate, within its bounds."""
+        return np.clip(np.log(np.maximum(chi_square, 1e-12) / self.used) / 2, *self.bounds[:, -1])
+
     @property
     def names(self) -> tuple[str, ...]:
         """Of the numbers."""
@@ -458,7 +460,7 @@ class Density:
         return float(np.sum(np.where(tight > 0, gaussian, -np.log(high - low) + 0 * tight)))
 
 
-_KEPT: OrderedDict[Any, dict[str, Any]] = OrderedDict()
+_KEPT = Kept(32)
 
 
 def density(
@@ -483,11 +485,7 @@ def density(
     tail = jnp.asarray(1.0 if student_t is None else student_t, dtype)
     setting = Setting(problem.data, jnp.asarray(spectra, dtype), tail)
     key = problem.layout.key, kind.noise, kind.robust, kind.powers, str(dtype)
-    programs = _KEPT.setdefault(key, {})
-    _KEPT.move_to_end(key)
-    while len(_KEPT) > _MOST_KEPT:
-        _KEPT.popitem(last=False)
-    return Density(problem, numbers, kind, setting, programs)
+    return Density(problem, numbers, kind, setting, _KEPT.get(key, dict))
 
 
 def with_priors(problem: Problem, priors: dict[str, Any]) -> Problem:

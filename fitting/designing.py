@@ -6,7 +6,6 @@ says which bounds are active. The model is compiled once, with its derivatives b
 
 import math
 import warnings
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
@@ -26,6 +25,7 @@ from fitting.assembly import build
 from fitting.layout import Data, Layout
 from fitting.measurement import Measurement
 from fitting.problem import Problem
+from fitting.programs import Kept
 from fitting.result import plain
 from fitting.solve import warn_of_float32
 from fitting.target import Look, Target
@@ -38,7 +38,6 @@ _SAME = 1e-3
 _MOST_SOLUTIONS = 8
 _WITHIN = 1.0
 _MET = 1e-3
-_MOST_KEPT = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,7 +274,7 @@ class _Program:
         return jnp.concatenate(parts), jnp.stack(reached)
 
 
-_KEPT: OrderedDict[Any, Any] = OrderedDict()
+_KEPT = Kept(16)
 
 
 def design(
@@ -322,25 +321,22 @@ def design(
     kinds = tuple((wish.kind, tuple(looks.index(look) for look in wish.looks)) for wish in wishes)
     low, high = _bounds(problem)
     setting = _setting(problem, wishes, looks, grid)
-    key = problem.layout.key, places, kinds
-    if key not in _KEPT:
-        _KEPT[key] = jax.jit(_Program(problem.layout, places, kinds).evaluated)
-    _KEPT.move_to_end(key)
-    while len(_KEPT) > _MOST_KEPT:
-        _KEPT.popitem(last=False)
+    program = _Program(problem.layout, places, kinds)
+    compiled = _KEPT.get((problem.layout.key, places, kinds), lambda: jax.jit(program.evaluated))
 
     def evaluated(x: np.ndarray) -> _Evaluation:
-        return _Evaluation(*(np.asarray(a, np.float64) for a in _KEPT[key](jnp.asarray(x, dtype), setting)))
+        return _Evaluation(*(np.asarray(a, np.float64) for a in compiled(jnp.asarray(x, dtype), setting)))
 
     dtype = problem.data.center.dtype
     ends = _descents(evaluated, low, high, starts, seed, max_steps)
     if not ends:
         raise ValueError("the model gives no number from any start; expected narrower ranges, or another material")
-    solutions = [_solution(problem, wishes, end, evaluated(end.place)) for end in _distinct(ends, high - low)]
+    found = [(end, evaluated(end.place)) for end in _distinct(ends, high - low)]
+    solutions = tuple(_solution(problem, wishes, end, at) for end, at in found)
     return Design(
-        tuple(solutions),
+        solutions,
         wishes,
-        _tolerances(problem, solutions[0], evaluated(ends[0].place).slopes),
+        _tolerances(problem, solutions[0], found[0][1].slopes),
         grid,
         starts,
         {p.name: p.unit for p in problem.numbers},

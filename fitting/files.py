@@ -39,6 +39,11 @@ def write(path: str | os.PathLike[str], contents: str | bytes) -> None:
         part.unlink(missing_ok=True)
 
 
+def to_json(content: dict[str, Any]) -> str:
+    """Strict JSON, to be read by people too; no NaN."""
+    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
+
+
 def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
     """Write strict JSON, whole or not at all.
 
@@ -49,4 +54,4 @@ def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    write(path, json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    write(path, to_json(content) + "\n")

@@ -40,7 +40,7 @@ def modes(result: FitResult, density: Density) -> tuple[np.ndarray, np.ndarray]:
     natural = problem.natural(minima.values)
     if density.kind.noise:
         used = density.used
-        level = np.clip(np.log(np.maximum(minima.chi_square, 1e-12) / used) / 2, *density.bounds[:, -1])
+        level = density.noise_at(minima.chi_square)
         natural = np.concatenate([natural, level[:, None]], axis=1)
         whole = np.zeros((len(covariance), size + 1, size + 1))
         whole[:, :-1, :-1] = covariance * np.exp(2 * level)[:, None, None]

@@ -145,6 +145,18 @@ def _refined(places: np.ndarray, log_density: Callable[[np.ndarray], np.ndarray]
     return _Grid(places, low)
 
 
+def _at(places: np.ndarray, seen: list[tuple[np.ndarray, ...]]) -> list[np.ndarray]:
+    """What was computed at some places, from parts that each begin with their own places."""
+    every, *columns = (np.concatenate(column) for column in zip(*seen, strict=True))
+    order = np.argsort(every)
+    known = order[np.searchsorted(every, places, sorter=order)]
+    return [column[known] for column in columns]
+
+
+def _evaluations(seen: list[tuple[np.ndarray, ...]]) -> int:
+    return sum(len(part[0]) for part in seen)
+
+
 def _axis(result: FitResult, density: Density) -> np.ndarray:
     """Natural coordinates of what the fit has seen, as far as chi-square says that it may matter."""
     parameter = density.numbers[0]
@@ -216,9 +228,7 @@ def _closed(density: Density, count: int, generator: np.random.Generator, result
         return logs[:, 0] if len(levels) == 1 else np.logaddexp.reduce(logs + _log_trapezoid(levels), axis=1)
 
     grid = _refined(_axis(result, density), marginal)
-    places, mean, root, logs = (np.concatenate(column) for column in zip(*seen, strict=True))
-    known = np.argsort(places)[np.searchsorted(places, grid.places, sorter=np.argsort(places))]
-    mean, root, logs = mean[known], root[known], logs[known]
+    mean, root, logs = _at(grid.places, seen)
     left, share, log_marginal = grid.draw(count, generator)
     place = grid.places[left] + share * np.diff(grid.places)[left]
     level = np.zeros(count)
@@ -241,7 +251,7 @@ def _closed(density: Density, count: int, generator: np.random.Generator, result
     natural = np.concatenate(columns, axis=1)
     order = generator.permutation(count)
     spectra = np.zeros((count, *density.setting.spectra.shape))
-    return Draws(natural[order], spectra, log_marginal[order], float(count), grid.log_integral, len(places))
+    return Draws(natural[order], spectra, log_marginal[order], float(count), grid.log_integral, _evaluations(seen))
 
 
 def _log_trapezoid(levels: np.ndarray) -> np.ndarray:
@@ -302,41 +312,33 @@ def _only(result: FitResult, density: Density, count: int, generator: np.random.
         return seen[-1][1]
 
     grid = _refined(_axis(result, density), log_density)
-    places, _, *quadrature = (np.concatenate(column) for column in zip(*seen, strict=True))
-    order = np.argsort(places)
-    known = order[np.searchsorted(places, grid.places, sorter=order)]
+    _, *quadrature = _at(grid.places, seen)
     left, share, logs = grid.draw(count, generator)
     shuffled = generator.permutation(count)
     left, share, logs = left[shuffled], share[shuffled], logs[shuffled]
     natural = (grid.places[left] + share * np.diff(grid.places)[left])[:, None]
     uniform = generator.random((count, *density.setting.spectra.shape))
-    below, above = (
-        density.placed(tuple(q[known[side]] for q in quadrature), uniform) for side in (left, left + 1)
-    )
+    below, above = (density.placed(tuple(q[side] for q in quadrature), uniform) for side in (left, left + 1))
     spectra = below + share[:, None, None] * (above - below)
-    return Draws(natural, spectra, logs, float(count), grid.log_integral, len(places))
+    return Draws(natural, spectra, logs, float(count), grid.log_integral, _evaluations(seen))
 
 
 def _weighted(result: FitResult, density: Density, count: int, generator: np.random.Generator) -> Draws:
     """Whatever else is unknown: Laplace's method for the rest of the numbers, corrected by weights."""
     others = len(density.numbers) - 1
-    known: dict[float, tuple[np.ndarray, np.ndarray]] = {}
+    seen: list[tuple[np.ndarray, ...]] = []
     near = _settled(result, density)
-    evaluations = 0
 
     def log_density(places: np.ndarray) -> np.ndarray:
-        nonlocal evaluations, near
-        evaluations += len(places)
+        nonlocal near
         rest, near = _rest(density, places, near, result)
-        for place, middle, root in zip(places, rest.middle, rest.root, strict=True):
-            known[float(place)] = middle, root
+        seen.append((places, *rest))
         logs = density.log_density(np.concatenate([places[:, None], rest.middle], axis=1))
         volume = np.sum(np.log(np.diagonal(rest.root, axis1=1, axis2=2)), axis=1)
         return logs + volume + others / 2 * math.log(2 * math.pi)
 
     grid = _refined(_axis(result, density), log_density)
-    middles = np.stack([known[float(p)][0] for p in grid.places])
-    roots = np.stack([known[float(p)][1] for p in grid.places])
+    middles, roots = _at(grid.places, seen)
 
     def proposed(total: int) -> tuple[np.ndarray, ...]:
         left, share, logs = grid.draw(total, generator)
@@ -349,7 +351,7 @@ def _weighted(result: FitResult, density: Density, count: int, generator: np.ran
         found, spectra = density.draw(natural, generator)
         return natural, spectra, found, found - (logs - grid.log_integral) - log_other
 
-    return resampled(proposed, count, generator, evaluations)
+    return resampled(proposed, count, generator, _evaluations(seen))
 
 
 def student_draws(
@@ -443,7 +445,7 @@ def _rest(density: Density, places: np.ndarray, near: Any, result: FitResult) ->
     middle = natural[:, 1:]
     if density.kind.noise:
         used = density.used
-        level = np.clip(np.log(np.maximum(at.chi_square, 1e-12) / used) / 2, *density.bounds[:, -1])
+        level = density.noise_at(at.chi_square)
         middle = np.concatenate([middle, level[:, None]], axis=1)
         grown = np.zeros((len(places), size, size))
         # The other errors grow with the noise.

@@ -90,8 +90,7 @@ def _start(result: FitResult, density: Density) -> tuple[np.ndarray, _Bounds, tu
     problem, minima = density.problem, result.found.minima.take([0])
     natural = problem.natural(minima.values)[0]
     if density.kind.noise:
-        level = np.log(max(float(minima.chi_square[0]), 1e-12) / density.used) / 2
-        natural = np.append(natural, level)
+        natural = np.append(natural, density.noise_at(minima.chi_square[0]))
     spectral = np.asarray(density.setting.data.spectral_bounds, np.float64)
     each = np.asarray(minima.spectra[0]).shape[1]
     low, high = (np.concatenate([density.bounds[i], np.repeat(spectral[i], each)]) for i in (0, 1))

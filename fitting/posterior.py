@@ -14,7 +14,7 @@ from fitting import files
 from fitting.density import Density
 from fitting.marginal import SpectralMarginal, marginal, of_spectra
 from fitting.parameters import displayed
-from fitting.result import FitResult
+from fitting.result import FitResult, plain
 
 _AT_KINK = (
     "{} lies at a kink of the model: with the truth exactly there, equal-tailed intervals of a flat prior cover "
@@ -96,11 +96,7 @@ class Posterior:
 
     def to_dict(self) -> dict[str, Any]:
         """What `fit.json` says of it: plain numbers, angles in degrees, None for what does not exist."""
-
-        def plain(value: float) -> float | None:
-            return float(value) if math.isfinite(value) else None
-
-        return {
+        content = {
             "method": self.method,
             "converged": self.converged,
             "message": self.message,
@@ -119,13 +115,15 @@ class Posterior:
                     "standard_deviation": float(one.displayed(one.standard_deviation)),
                     "interval_68": [float(one.displayed(end)) for end in one.interval_68],
                     "interval_95": [float(one.displayed(end)) for end in one.interval_95],
-                    "r_hat": plain(one.r_hat),
-                    "effective_samples": plain(one.effective_samples),
-                    "autocorrelation_time": plain(one.autocorrelation_time),
+                    "r_hat": one.r_hat,
+                    "effective_samples": one.effective_samples,
+                    "autocorrelation_time": one.autocorrelation_time,
                 }
                 for name, one in self.estimates.items()
             },
         }
+        shown: dict[str, Any] = plain(content)
+        return shown
 
     def thin(self, every: int) -> "Posterior":
         """Every so many draws of each chain, the last one included.
@@ -279,13 +277,13 @@ def _spectral_row(name: str, one: SpectralMarginal) -> tuple[str, ...]:
 
 def _spectral_part(one: SpectralMarginal) -> dict[str, Any]:
     return {
-        "wavelength_nm": one.wavelengths_nm.tolist(),
+        "wavelength_nm": one.wavelengths_nm,
         "unit": "1",
-        "median": one.median.tolist(),
-        "mean": one.mean.tolist(),
-        "standard_deviation": one.standard_deviation.tolist(),
-        "interval_68": [end.tolist() for end in one.interval_68],
-        "interval_95": [end.tolist() for end in one.interval_95],
+        "median": one.median,
+        "mean": one.mean,
+        "standard_deviation": one.standard_deviation,
+        "interval_68": one.interval_68,
+        "interval_95": one.interval_95,
     }
 
 

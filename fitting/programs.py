@@ -26,7 +26,6 @@ CHUNK = 32
 _CHEAP_TO_COMPILE = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 _QUICK_VALUES = 2000
 _WORKERS = ThreadPoolExecutor(max_workers=2, thread_name_prefix="compile")
-_MOST_KEPT = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +121,27 @@ class Programs:
             self.compiled[name] = _WORKERS.submit(_compile, lower(), options)
 
 
-_KEPT: OrderedDict[Any, Programs] = OrderedDict()
+class Kept:
+    """What was used last of what is costly to make, by what it depends on.
+
+    Args:
+        most: how many to keep.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most, self._found = most, OrderedDict[Any, Any]()
+
+    def get(self, key: Any, make: Callable[[], Any]) -> Any:
+        """What is kept under a key; made if it is not there."""
+        if key not in self._found:
+            self._found[key] = make()
+        self._found.move_to_end(key)
+        while len(self._found) > self._most:
+            self._found.popitem(last=False)
+        return self._found[key]
+
+
+_KEPT = Kept(8)
 
 
 def _compile(lowered: Any, options: dict[str, Any] | None) -> Any:
@@ -141,15 +160,13 @@ def programs_for(layout: Layout, data: Data) -> Programs:
         ValueError: a scene cannot be evaluated, or its wavelengths are not the measurement's.
     """
     dtype = jnp.result_type(float)
-    key = layout.key, str(dtype)
-    if key in _KEPT:
-        _KEPT.move_to_end(key)
-        return _KEPT[key]
-    _check_shapes(layout, data)
-    _KEPT[key] = Programs(layout)
-    while len(_KEPT) > _MOST_KEPT:
-        _KEPT.popitem(last=False)
-    return _KEPT[key]
+
+    def made() -> Programs:
+        _check_shapes(layout, data)
+        return Programs(layout)
+
+    found: Programs = _KEPT.get((layout.key, str(dtype)), made)
+    return found
 
 
 def _check_shapes(layout: Layout, data: Data) -> None:

@@ -1,6 +1,5 @@
 """A plan of views: what to measure next, and what it will tell; in Python, as text and as files."""
 
-import json
 import math
 from dataclasses import dataclass
 from os import PathLike
@@ -10,6 +9,7 @@ import numpy as np
 
 from fitting import files
 from fitting.parameters import displayed
+from fitting.result import plain
 
 _MOST_COLUMNS = 5
 
@@ -186,22 +186,22 @@ class ViewPlan:
         def direction(view: PlannedView) -> dict[str, Any]:
             return {
                 "light": view.light,
-                "polar_deg": _finite(math.degrees(view.polar)),
-                "azimuth_deg": _finite(math.degrees(view.azimuth)),
+                "polar_deg": math.degrees(view.polar),
+                "azimuth_deg": math.degrees(view.azimuth),
             }
 
         parameters = {
             name: {
                 "unit": "deg" if self.units[name] == "rad" else self.units[name],
-                "standard_error": _finite(displayed(errors, self.units[name])),
-                "worst_standard_error": _finite(displayed(self.worst_standard_errors[name], self.units[name])),
-                "identifiable": self.identifiable[name].tolist(),
+                "standard_error": displayed(errors, self.units[name]),
+                "worst_standard_error": displayed(self.worst_standard_errors[name], self.units[name]),
+                "identifiable": self.identifiable[name],
             }
             | ({"value": displayed(self.values[name], self.units[name])} if name in self.values else {})
             | ({"spread": displayed(self.spread[name], self.units[name])} if name in self.spread else {})
             for name, errors in self.standard_errors.items()
         }
-        return {
+        content = {
             "views": [direction(view) for view in self.views],
             "measured": [direction(view) for view in self.measured],
             "candidates": [direction(view) for view in self.candidates],
@@ -211,12 +211,14 @@ class ViewPlan:
             "identifiable": self.all_identifiable,
             "message": self.message,
             "criterion": self.criterion,
-            "criterion_values": _finite(self.criterion_values),
+            "criterion_values": self.criterion_values,
             "method": self.method,
-            "noise": _finite(self.noise),
-            "wavelengths_nm": None if self.wavelengths_nm is None else self.wavelengths_nm.tolist(),
+            "noise": self.noise,
+            "wavelengths_nm": self.wavelengths_nm,
             "version": __version__,
         }
+        shown: dict[str, Any] = plain(content)
+        return shown
 
     def to_json(self, path: str | PathLike[str]) -> None:
         """Write ``to_dict()`` to a file, whole or not at all.
@@ -224,7 +226,7 @@ class ViewPlan:
         Raises:
             OSError: the file cannot be written.
         """
-        files.write(path, json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+        files.write_json(path, self.to_dict())
 
     def to_csv(self, path: str | PathLike[str]) -> None:
         """Write a table: a row for "before" (view 0) and one for each view; of spectra the median of the errors.
@@ -268,10 +270,3 @@ class ViewPlan:
 
 def _degrees(angle: float) -> str:
     return f"{round(math.degrees(angle), 6) + 0.0:.4g} deg"
-
-
-def _finite(value: Any) -> Any:
-    """Plain numbers; None for what is not finite."""
-    if isinstance(value, np.ndarray):
-        return [_finite(v) for v in value]
-    return float(value) if math.isfinite(value) else None

@@ -423,6 +423,19 @@ def _weights(
     return 100 * weights / weights[:, 1].sum()
 
 
+@functools.cache
+def _practice_table(step: int, illuminant: str, observer: str) -> NDArray[np.float64]:
+    """Weights of all values from 360 to 780 nm in steps of 1, 5 or 10 nm, shape (N, 3)."""
+    power, functions = _table(illuminant), _table(observer)
+    light = np.interp(_PRACTICE_NM, power[:, 0], power[:, 1])
+    matching = [np.interp(_PRACTICE_NM, functions[:, 0], column) for column in functions[:, 1:].T]
+    weights = light[:, None] * np.stack(matching, axis=-1)
+    weights = _interpolation(len(_PRACTICE_NM), step).T @ weights if step == 10 else weights[::step]
+    weights = weights * 100 / weights[:, 1].sum()
+    weights.flags.writeable = False
+    return weights
+
+
 def _practice_weights(
     wavelengths: NDArray[np.float64], step: int, illuminant: str, observer: str
 ) -> NDArray[np.float64]:
@@ -431,17 +444,12 @@ def _practice_weights(
     References:
         [ASTME308]; [ASTME2022] for the interpolation of 10 nm data.
     """
-    power, functions = _table(illuminant), _table(observer)
-    light = np.interp(_PRACTICE_NM, power[:, 0], power[:, 1])
-    matching = [np.interp(_PRACTICE_NM, functions[:, 0], column) for column in functions[:, 1:].T]
-    weights = light[:, None] * np.stack(matching, axis=-1)
     order = np.argsort(wavelengths)
     rising = wavelengths[order]
     inside = (rising >= _PRACTICE_NM[0]) & (rising <= _PRACTICE_NM[-1])
     known = rising[inside]
     finer = min(step, 10)
-    weights = _interpolation(len(_PRACTICE_NM), finer).T @ weights if finer == 10 else weights[::finer]
-    weights = weights * 100 / weights[:, 1].sum()
+    weights = _practice_table(finer, illuminant, observer)
     # The end values stand for what was not measured.
     first, last = (int(known[end] - _PRACTICE_NM[0]) // finer for end in (0, -1))
     folded = weights[first : last + 1].copy()
@@ -454,6 +462,7 @@ def _practice_weights(
     return found
 
 
+@functools.cache
 def _interpolation(count: int, step: int) -> NDArray[np.float64]:
     """From values at every so many places to all: cubic, and quadratic in the first and last interval."""
     coarse = np.arange(0, count, step)

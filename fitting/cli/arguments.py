@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 from fitting.cli import words
 from fitting.cli.options import TOLERANCE as TOLERANCE
-from fitting.cli.options import add_free_options, add_scene_options, add_tolerance
+from fitting.cli.options import add_free_options, add_scene_options, add_surface_values, add_tolerance
 from fitting.readers.geometry import GEOMETRIES
 
 # As in `vcavity_jax.colorimetry`, which a test compares; importing that takes half a second.
@@ -217,8 +217,7 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
 
 def _add_predict_options(predict: argparse.ArgumentParser) -> None:
     add_scene_options(predict)
-    predict.add_argument("--angle", type=words.angle, metavar="DEG", help="dihedral angle of v-grooves: 45deg")
-    predict.add_argument("--roughness", type=words.roughness, metavar="M", help="roughness m of random grooves")
+    add_surface_values(predict)
     predict.add_argument(
         "--wavelengths", type=words.grid, required=True, metavar="NM", help="400:700:10 or 450,550,650"
     )
@@ -256,8 +255,7 @@ def _add_predict_options(predict: argparse.ArgumentParser) -> None:
 
 def _add_map_options(chart: argparse.ArgumentParser) -> None:
     add_scene_options(chart)
-    chart.add_argument("--angle", type=words.angle, metavar="DEG", help="dihedral angle of v-grooves: 45deg")
-    chart.add_argument("--roughness", type=words.roughness, metavar="M", help="roughness m of random grooves")
+    add_surface_values(chart)
     chart.add_argument(
         "--wavelengths",
         type=words.grid,
@@ -308,10 +306,7 @@ def _add_map_options(chart: argparse.ArgumentParser) -> None:
 
 def _add_plan_options(plan: argparse.ArgumentParser) -> None:
     add_scene_options(plan)
-    plan.add_argument("--angle", type=words.angle, metavar="DEG", help="expected angle of v-grooves: 45deg")
-    plan.add_argument(
-        "--roughness", type=words.roughness, metavar="M", help="expected roughness m of random grooves"
-    )
+    add_surface_values(plan, "expected angle", "expected roughness m")
     plan.add_argument(
         "--spread",
         type=words.half_width,

@@ -1,7 +1,6 @@
 """`vcavity design`: the parameters that make a surface look as wished, from a file (TOML)."""
 
 import argparse
-import json
 import os
 import sys
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import vcavity_jax as vc
-from fitting import Design, design, read_spectrum, target
+from fitting import Design, design, files, read_spectrum, target
 from fitting.cli import config, config_parameters, keys, messages, scenes, words
 from fitting.cli.fit import require_writable
 from fitting.cli.keys import Check, Place
@@ -80,7 +79,7 @@ def run(given: argparse.Namespace) -> int:
     if given.output is not None:
         found.to_json(given.output)
     if given.json:
-        print(json.dumps(found.to_dict(), indent=2, ensure_ascii=False, allow_nan=False))
+        print(files.to_json(found.to_dict()))
     else:
         print(found.summary())
         if given.output is not None:

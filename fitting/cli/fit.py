@@ -6,9 +6,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from fitting import FitResult, Measurement, compare_models, files, fit, rivals, sample_posterior
+from fitting import FitResult, Measurement, files, fit, rivals
 from fitting.cli import arguments, messages, request
-from fitting.comparison import Comparison
 
 
 def run(given: argparse.Namespace) -> int:
@@ -61,6 +60,8 @@ def run(given: argparse.Namespace) -> int:
 
 def _sampled(result: FitResult, given: argparse.Namespace, folder: Path, written: list[Path]) -> Any:
     """Sample the posterior and write its pictures and draws."""
+    from fitting import sample_posterior
+
     chain = folder / "chain.h5" if given.sampler == "emcee" else None
     posterior = sample_posterior(
         result, given.sampler, chain=chain, seed=given.seed or 1, progress=sys.stderr.isatty()
@@ -85,8 +86,10 @@ def _models(asked: request.Request) -> dict[str, Any]:
         raise ValueError(f"--compare: {asked.explained(str(error))}") from None
 
 
-def _compared(asked: request.Request, models: dict[str, Any], options: dict[str, Any]) -> Comparison:
-    """The model beside its rivals."""
+def _compared(asked: request.Request, models: dict[str, Any], options: dict[str, Any]) -> Any:
+    """The model beside its rivals, see ``fitting.Comparison``."""
+    from fitting import compare_models  # with all samplers, which a plain fit does not need
+
     try:
         return compare_models(models, asked.measurement, asked.parameters, **options)
     except ValueError as error:

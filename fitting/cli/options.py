@@ -114,6 +114,14 @@ def add_scene_options(command: argparse.ArgumentParser, *, defaults: bool = True
     )
 
 
+def add_surface_values(
+    command: argparse.ArgumentParser, angle: str = "dihedral angle", roughness: str = "roughness m"
+) -> None:
+    """The surface's own number, under the names that the command has for it."""
+    command.add_argument("--angle", type=words.angle, metavar="DEG", help=f"{angle} of v-grooves: 45deg")
+    command.add_argument("--roughness", type=words.roughness, metavar="M", help=f"{roughness} of random grooves")
+
+
 def add_tolerance(command: argparse.ArgumentParser, default: float | None = TOLERANCE) -> None:
     """How accurate the model is to be."""
     command.add_argument(

@@ -1,7 +1,6 @@
 """`vcavity plan`: which directions to measure next."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -54,7 +53,7 @@ def run(given: argparse.Namespace) -> int:
         plan.to_csv(written[1])
         plan.plot(written[2])
     if given.json:
-        print(json.dumps(plan.to_dict(), indent=2, ensure_ascii=False, allow_nan=False))
+        print(files.to_json(plan.to_dict()))
     else:
         print(plan.summary())
         if sample.material != "specular" and sample.reflectance is None:
