@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from fitting.comparison import compare_results as compare_results
     from fitting.designing import Design as Design
     from fitting.designing import design as design
+    from fitting.gamut import ReachableColors as ReachableColors
+    from fitting.gamut import reachable_colors as reachable_colors
     from fitting.many import ManyResult as ManyResult
     from fitting.many import fit_many as fit_many
     from fitting.measurement import Measurement as Measurement
@@ -53,6 +55,7 @@ _HOMES = {
     "PlannedView": "fitting.view_plan",
     "Posterior": "fitting.posterior",
     "ProfileLikelihood": "fitting.profile",
+    "ReachableColors": "fitting.gamut",
     "Recovery": "fitting.recovery",
     "Rival": "fitting.rival",
     "SpectralEstimate": "fitting.result",
@@ -65,6 +68,7 @@ _HOMES = {
     "fit_many": "fitting.many",
     "plan_views": "fitting.planning",
     "profile_likelihood": "fitting.profile",
+    "reachable_colors": "fitting.gamut",
     "read_spectrum": "fitting.measurement",
     "recover_reflectance": "fitting.recovery",
     "refit_with_rival": "fitting.rival",
@@ -86,6 +90,7 @@ __all__ = [
     "PlannedView",
     "Posterior",
     "ProfileLikelihood",
+    "ReachableColors",
     "Recovery",
     "Rival",
     "SpectralEstimate",
@@ -100,6 +105,7 @@ __all__ = [
     "plan_views",
     "priors",
     "profile_likelihood",
+    "reachable_colors",
     "read_spectrum",
     "recover_reflectance",
     "refit_with_rival",

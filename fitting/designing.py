@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,11 +18,9 @@ from jaxtyping import Array, Float
 from scipy.optimize import least_squares  # type: ignore[import-untyped]
 from scipy.stats import qmc  # type: ignore[import-untyped]
 
-import vcavity_jax as vc
 from fitting import files
-from fitting.assembly import build
 from fitting.layout import Data, Layout
-from fitting.measurement import Measurement
+from fitting.looks import color_weights, factors_of, seen_from
 from fitting.problem import Problem
 from fitting.programs import Kept
 from fitting.result import plain
@@ -229,7 +226,7 @@ class _Program:
         """Of numbers in natural coordinates, then free spectra."""
 
         def everything(x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array, Array]]:
-            factors = self.factors(x, setting.data)
+            factors = factors_of(self.layout, self.looks, x, setting.data)
             tristimulus = jnp.einsum("kl,klc->kc", factors, setting.weights, precision="highest")
             colors = colorimetry.lab(tristimulus, setting.whites)
             residuals, reached = self.judged(factors, colors, setting)
@@ -241,17 +238,6 @@ class _Program:
         )
         slopes = jnp.linalg.norm(jnp.einsum("kij,kjn->kin", by_color, by_unknown), axis=1)
         return _Evaluation(residuals, jacobian, reached, slopes)
-
-    def factors(self, x: Float[Array, " n"], data: Data) -> Float[Array, "k l"]:
-        """Reflectance factors of each look."""
-        layout = self.layout
-        count = x.shape[0] - layout.free_spectra * layout.blocks
-        spectra = x[count:].reshape(layout.free_spectra, layout.blocks)
-        found = [
-            layout.factor(part, *layout.inputs(part, x[:count], spectra), known)
-            for part, known in zip(layout.parts, data.known, strict=True)
-        ]
-        return jnp.stack([found[part][row] for part, row in self.looks])
 
     def judged(
         self, factors: Float[Array, "k l"], colors: Float[Array, "k 3"], setting: _Setting
@@ -317,7 +303,7 @@ def design(
             raise ValueError(f"{name} is {value!r}; expected a whole number of at least 1")
     grid = np.asarray(wavelengths_nm, np.float64)
     looks = list(dict.fromkeys(look for wish in wishes for look in wish.looks))
-    problem, places = _problem(scene, free, looks, grid, tolerance)
+    problem, places = seen_from(scene, free, looks, grid, tolerance)
     kinds = tuple((wish.kind, tuple(looks.index(look) for look in wish.looks)) for wish in wishes)
     low, high = _bounds(problem)
     setting = _setting(problem, wishes, looks, grid)
@@ -394,49 +380,12 @@ def _descents(
     return sorted(found, key=lambda one: one.cost)
 
 
-def _problem(
-    scene: Any, free: Sequence[Any], looks: list[Look], grid: np.ndarray, tolerance: float
-) -> tuple[Problem, tuple[tuple[int, int], ...]]:
-    """The scene in each light, and where each look stands in it."""
-    if not isinstance(scene, vc.Scene):
-        raise ValueError(f"scene is a {type(scene).__name__}; expected a Scene")
-    for one in free:
-        role = getattr(one, "role", "scene")
-        if role != "scene":
-            raise ValueError(f"parameter {one.name!r} belongs to an instrument; expected parameters of the scene")
-    lights: list[Any] = []
-    members: list[list[Look]] = []
-    places = []
-    for look in looks:
-        light = scene.illumination if look.illumination is None else look.illumination
-        at = next((i for i, known in enumerate(lights) if bool(eqx.tree_equal(known, light))), None)
-        if at is None:
-            lights.append(light)
-            members.append([])
-            at = len(lights) - 1
-        members[at].append(look)
-        places.append((at, len(members[at]) - 1))
-    measurements, scenes = {}, {}
-    for i, (light, group) in enumerate(zip(lights, members, strict=True)):
-        polar, azimuth = (np.array([getattr(look, n) for look in group]) for n in ("polar", "azimuth"))
-        flat = np.full((len(group), len(grid)), 0.5)
-        measurements[str(i)] = Measurement(grid, polar, azimuth, flat, np.full(flat.shape, 0.01), light)
-        scenes[str(i)] = vc.Scene(scene.surface, scene.material, light, measurements[str(i)].view)
-    if len(lights) == 1:
-        problem = build(scenes["0"], measurements["0"], free, None, tolerance, enough=False)
-    else:
-        problem = build(scenes, measurements, free, None, tolerance, enough=False)
-    return problem, tuple(places)
-
-
 def _setting(problem: Problem, wishes: tuple[Target, ...], looks: list[Look], grid: np.ndarray) -> _Setting:
     dtype = problem.data.center.dtype
-    colored = any(wish.kind != "spectrum" for wish in wishes)
-    weights, whites = np.zeros((len(looks), len(grid), 3)), np.ones((len(looks), 3))
-    for k, look in enumerate(looks) if colored else ():
-        light: Any = look.illuminant, look.observer
-        weights[k] = np.asarray(colorimetry.xyz(np.eye(len(grid)), grid, *light))
-        whites[k] = weights[k].sum(axis=0)
+    if any(wish.kind != "spectrum" for wish in wishes):
+        weights, whites = color_weights(looks, grid)
+    else:
+        weights, whites = np.zeros((len(looks), len(grid), 3)), np.ones((len(looks), 3))
     for wish in wishes:
         if wish.kind == "spectrum" and wish.value.shape != grid.shape:
             raise ValueError(

@@ -43,9 +43,20 @@ class Look:
     @property
     def description(self) -> str:
         """In a few words."""
-        azimuth = f", {np.degrees(self.azimuth):g}" if self.azimuth else ""
-        light = "" if self.illumination is None else f", {type(self.illumination).__name__}"
-        return f"{np.degrees(self.polar):g}{azimuth} deg, {self.illuminant}{light}"
+        return f"{_direction(self)} deg, {self.illuminant}{_lit(self.illumination)}"
+
+
+def _direction(one: Any) -> str:
+    azimuth = f", {np.degrees(one.azimuth):g}" if one.azimuth else ""
+    return f"{np.degrees(one.polar):g}{azimuth}"
+
+
+def _lit(light: Any) -> str:
+    if light is None:
+        return ""
+    if isinstance(light, vc.Directional):
+        return f", light from {_direction(light)} deg"
+    return f", {type(light).__name__} light"
 
 
 Kind = Literal["color", "spectrum", "alike", "different"]

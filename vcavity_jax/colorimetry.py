@@ -210,7 +210,7 @@ def srgb(
     return jnp.clip(encoded, 0, 1) if clip else encoded
 
 
-def delta_e_76(lab1: Float[ArrayLike, "*batch 3"], lab2: Float[ArrayLike, "*batch 3"]) -> Float[Array, "*batch"]:
+def delta_e_76(lab1: Float[ArrayLike, "*#batch 3"], lab2: Float[ArrayLike, "*#batch 3"]) -> Float[Array, "..."]:
     """Color difference ΔE*ab, the distance in CIELAB; its gradient for equal colors is returned as 0.
 
     Args:
@@ -226,7 +226,7 @@ def delta_e_76(lab1: Float[ArrayLike, "*batch 3"], lab2: Float[ArrayLike, "*batc
     return _root(jnp.sum((_real(lab1) - _real(lab2)) ** 2, axis=-1))
 
 
-def delta_e_94(lab1: Float[ArrayLike, "*batch 3"], lab2: Float[ArrayLike, "*batch 3"]) -> Float[Array, "*batch"]:
+def delta_e_94(lab1: Float[ArrayLike, "*#batch 3"], lab2: Float[ArrayLike, "*#batch 3"]) -> Float[Array, "..."]:
     """Color difference ΔE*94 for graphic arts, k_L = 1, K₁ = 0.045, K₂ = 0.015; gradients as of ``delta_e_2000``.
 
     Args:
@@ -247,7 +247,7 @@ def delta_e_94(lab1: Float[ArrayLike, "*batch 3"], lab2: Float[ArrayLike, "*batc
     return _root(light**2 + (step / (1 + 0.045 * chroma)) ** 2 + hue / (1 + 0.015 * chroma) ** 2)
 
 
-def delta_e_2000(lab1: Float[ArrayLike, "*batch 3"], lab2: Float[ArrayLike, "*batch 3"]) -> Float[Array, "*batch"]:
+def delta_e_2000(lab1: Float[ArrayLike, "*#batch 3"], lab2: Float[ArrayLike, "*#batch 3"]) -> Float[Array, "..."]:
     """Color difference ΔE₀₀ (CIEDE2000) with k_L = k_C = k_H = 1.
 
     It jumps, by its definition, where two hues are opposite. Its gradient is infinite or has no direction for
@@ -267,8 +267,8 @@ def delta_e_2000(lab1: Float[ArrayLike, "*batch 3"], lab2: Float[ArrayLike, "*ba
 
 
 def components_2000(
-    lab1: Float[ArrayLike, "*batch 3"], lab2: Float[ArrayLike, "*batch 3"]
-) -> Float[Array, "*batch 3"]:
+    lab1: Float[ArrayLike, "*#batch 3"], lab2: Float[ArrayLike, "*#batch 3"]
+) -> Float[Array, "... 3"]:
     """Three numbers whose squares add up to ΔE₀₀²: of lightness, of chroma (turned by the rotation), of hue.
 
     They are smooth where two colors are equal and ΔE₀₀ itself is not: residuals for least squares.

@@ -175,3 +175,41 @@ def test_bad_designs(change, said):
     with pytest.raises(ValueError, match=said) as caught:
         design(**(given | change))
     assert "\n" not in str(caught.value)
+
+
+def test_coverages_and_transmittances_are_found():
+    """A halftone under an interface, and a colored layer."""
+    ink = 0.1 + 0.8 / (1 + np.exp((NM - 560) / 20))
+
+    def printed(layer):
+        material = vc.InterfacedLambertian(np.full(len(NM), 0.85), 1.5, layer)
+        return vc.Scene(vc.VGrooves(np.radians(80)), material, vc.Diffuse(), vc.View())
+
+    wish = target.color(lab_of(printed(vc.Halftone(0.37, ink))))
+    found = designed(wish, [free.coverage()], printed(vc.Halftone(0.5, ink)), starts=4)
+    assert found.best.values["coverage"] == pytest.approx(0.37, abs=1e-4)
+    layer = vc.ColoredLayer(np.full(len(NM), 0.5))
+    wish = target.spectrum(np.asarray(vc.reflectance_factor(printed(vc.ColoredLayer(ink)))), step=0.001)
+    found = designed(wish, [free.transmittance()], printed(layer), starts=2)
+    np.testing.assert_allclose(found.best.spectra["transmittance"], ink, atol=2e-4)
+
+
+def test_both_panels_are_found_from_two_sides():
+    first, second = 0.2 + 0.5 * (NM > 550), 0.6 - 0.4 * (NM > 600)
+
+    def two(r1, r2):
+        return vc.Scene(vc.VGrooves(1.2), vc.TwoPanels(vc.Lambertian(r1), vc.Lambertian(r2)), vc.Diffuse(), view)
+
+    view = vc.View(np.array([0.9, -0.9]), 0.0)
+    left, right = np.asarray(vc.reflectance_factor(two(first, second)))
+    parameters = [
+        free.reflectance(where=lambda s: s.material.first.reflectance, name="first"),
+        free.reflectance(where=lambda s: s.material.second.reflectance, name="second"),
+    ]
+    wish = [
+        target.spectrum(left, target.Look(0.9), step=0.001),
+        target.spectrum(right, target.Look(-0.9), step=0.001),
+    ]
+    found = designed(wish, parameters, two(np.full(len(NM), 0.5), np.full(len(NM), 0.5)), starts=2)
+    np.testing.assert_allclose(found.best.spectra["first"], first, atol=1e-4)
+    np.testing.assert_allclose(found.best.spectra["second"], second, atol=1e-4)
