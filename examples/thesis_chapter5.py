@@ -1,11 +1,12 @@
-"""Figures PF5-1 and PF5-2 of the thesis: grooves of diffusing material under an interface, with measured colors.
+"""Chapter 5 of the thesis in numbers: grooves of diffusing material under an interface, with measured colors.
 
     python examples/thesis_chapter5.py [OUTDIR]
 
-writes thesis_chapter5.png into OUTDIR (a new temporary folder by default) and prints two tables. A groove of 45°
-in frontal light, seen frontally, the specular component excluded: without interface (n = 1), under that of a
-varnish (1.33) and that of ink (1.5). The thesis does not publish its spectra: patches of a color chart take their
-place. It keeps one mirror reflection on each path and 64 facets; here all reflections are kept.
+writes thesis_chapter5.md, two tables, into OUTDIR (a new temporary folder by default) and prints it; the figures
+are PF5-1 and PF5-2 of the portfolio. A groove of 45° in frontal light, seen frontally, the specular component
+excluded: without interface (n = 1), under that of a varnish (1.33) and that of ink (1.5). The thesis does not
+publish its spectra: patches of a color chart take their place. It keeps one mirror reflection on each path and
+64 facets; here all reflections are kept.
 
 Two things it leaves open, so both meanings are computed. Is the flat material that a groove outshines a flat
 sample under the same interface, or the intrinsic reflectance? And is the same material without interface that of
@@ -19,11 +20,8 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import matplotlib as mpl
-import matplotlib.pyplot as plt
 import numpy as np
 import thesis_recipe
-from matplotlib.axes import Axes
 from scipy.optimize import brentq
 from thesis_recipe import Real
 
@@ -131,12 +129,6 @@ def lab(spectra: Real) -> Real:
     return np.asarray(colorimetry.lab(colorimetry.xyz(spectra, WAVELENGTHS_NM), white))
 
 
-def shade(spectra: Real) -> Real:
-    """Color on a display."""
-    white = colorimetry.white(WAVELENGTHS_NM)
-    return np.asarray(colorimetry.srgb(colorimetry.xyz(spectra, WAVELENGTHS_NM), white, clip=True))
-
-
 def difference(first: Real, second: Real) -> Real:
     """Color difference ΔE 2000 of spectra."""
     return np.asarray(colorimetry.delta_e_2000(lab(first), lab(second)))
@@ -163,87 +155,20 @@ def differences(same: dict[float, Real], alike: dict[float, Real]) -> str:
     return "\n".join(lines)
 
 
-def draw_ramp(axis: Axes, index: float) -> None:
-    """Groove and flat sample against the intrinsic reflectance, and larger where they cross."""
-    inset = axis.inset_axes(
-        (0.1, 0.53, 0.4, 0.44), xlim=(0.9, 1), ylim=(0.75, 1.1), xticks=(0.9, 1), yticks=(0.8, 1)
-    )
-    inset.tick_params(labelsize=7)
-    for part in (axis, inset):
-        part.plot(RAMP, grooved(RAMP, index), "k", label="groove")
-        for (name, other), style in zip(MEANINGS.items(), ("C0--", "C1:"), strict=True):
-            crossing = threshold(grooved, other, index)
-            part.plot(RAMP, other(RAMP, index), style, label=name)
-            part.plot(crossing, other(np.asarray(crossing), index), "o", ms=5, color=style[:2])
-    axis.set(xlabel="intrinsic reflectance", xlim=(0, 1), ylim=(0, 1.25), title=f"n = {index:g}")
-
-
-def draw_spectra(axis: Axes, index: float) -> None:
-    """Each color flat and grooved."""
-    for ink, spectrum, groove, sample in zip(
-        INKS, SPECTRA, grooved(SPECTRA, index), flat(SPECTRA, index), strict=True
-    ):
-        axis.plot(WAVELENGTHS_NM, groove, color=shade(spectrum), label=ink)
-        axis.plot(WAVELENGTHS_NM, sample, "--", color=shade(spectrum), lw=1)
-    axis.set(xlabel="wavelength in nm", xlim=(400, 700), ylim=(0, 0.9))
-
-
-def draw_strips(axis: Axes, radiance: Real) -> None:
-    """The color along a panel, a strip for each ink."""
-    axis.imshow(np.swapaxes(shade(radiance), 0, 1), aspect="auto", extent=(0, 1, len(INKS), 0))
-    axis.set_yticks(np.arange(len(INKS)) + 0.5, INKS)
-    axis.set_xlabel("distance from the fold in panel widths")
-
-
-def draw_differences(axis: Axes, radiance: dict[float, Real], without: Real) -> None:
-    """Color difference along the panel by the interface, for each ink."""
-    for n, style in zip(list(INDICES)[1:], ("--", "-"), strict=True):
-        for ink, spectrum, change in zip(INKS, SPECTRA, difference(without, radiance[n]).T, strict=True):
-            axis.plot(POSITIONS, change, style, color=shade(spectrum), label=f"{ink}, n = {n:g}")
-    axis.axvline(LIMIT, color="0.7", lw=0.8, ls=":")
-    axis.set(xlabel="distance from the fold in panel widths", xlim=(0, 1), ylim=(0, None))
-    axis.set_ylabel("ΔE 2000 from the groove of n = 1")
-
-
-def draw(same: dict[float, Real], alike: dict[float, Real], path: Path) -> None:
-    """All of it in one figure."""
-    figure, axes = plt.subplots(4, 3, figsize=(10.5, 12.5), layout="constrained")
-    for column, n in enumerate(INDICES):
-        draw_ramp(axes[0, column], n)
-        draw_spectra(axes[1, column], n)
-        draw_strips(axes[2, column], same[n])
-        lightness, a, b = np.moveaxis(lab(same[n][:, INKS.index("magenta")]), -1, 0)
-        axes[3, 0].plot(np.hypot(a, b), lightness, ".-", color=INDICES[n], label=f"n = {n:g}")
-    for row in (0, 1):
-        axes[row, 0].set_ylabel("reflectance factor, 0°:0°")
-    axes[3, 0].set(xlabel="chroma C*", ylabel="lightness L*", title="magenta, along a panel")
-    for axis, radiance, title in ((axes[3, 1], same, "intrinsic reflectance"), (axes[3, 2], alike, "flat sample")):
-        draw_differences(axis, radiance, same[1.0])
-        axis.set_title(f"same {title}")
-    axes[1, 2].legend(title="grooved (dashed: flat)", fontsize=8, title_fontsize=8)
-    axes[0, 0].legend(fontsize=7, loc="lower right", framealpha=1)
-    axes[3, 0].legend(fontsize=8)
-    axes[3, 2].legend(fontsize=7, loc="upper right")
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
-
-
 def main() -> None:
-    """Print the tables and draw the figure."""
+    """Make both tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("outdir", nargs="?", type=Path, help="where to write")
     outdir = parser.parse_args().outdir or Path(tempfile.mkdtemp(prefix="thesis-chapter5-"))
     outdir.mkdir(parents=True, exist_ok=True)
-    mpl.use("Agg")
-    print(thresholds(), end="\n\n")
     same = {n: along_panel(SPECTRA, n) for n in INDICES}
     alike = {n: along_panel(intrinsic(SPECTRA, n), n) for n in INDICES}
-    print(differences(same, alike), end="\n\n")
-    print(
+    said = (
         "The thesis reads about 2.5 for its magenta at y > 0.414 under both indices, and less nearer to the fold."
     )
-    draw(same, alike, outdir / "thesis_chapter5.png")
-    print(f"wrote {outdir / 'thesis_chapter5.png'}")
+    text = f"{thresholds()}\n\n{differences(same, alike)}\n\n{said}\n"
+    (outdir / "thesis_chapter5.md").write_text(text, encoding="utf-8")
+    print(f"{text}wrote {outdir / 'thesis_chapter5.md'}")
 
 
 if __name__ == "__main__":

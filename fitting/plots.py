@@ -90,12 +90,13 @@ def plot_fit(result: FitResult, path: str | PathLike[str]) -> None:
     write_figure(lambda: _draw(result), path)
 
 
-def write_figure(draw: Callable[[], Figure], path: str | PathLike[str]) -> None:
+def write_figure(draw: Callable[[], Figure], path: str | PathLike[str], *, dpi: int = 300) -> None:
     """Draw a figure in the style of this package and write it, whole or not at all.
 
     Args:
         draw: makes the figure; it is called with the style set.
         path: the file; its ending, .png, .pdf or .svg, decides the format.
+        dpi: dots per inch of a .png.
 
     Raises:
         OSError: the file cannot be written.
@@ -110,7 +111,7 @@ def write_figure(draw: Callable[[], Figure], path: str | PathLike[str]) -> None:
         figure = draw()
         contents = io.BytesIO()
         dates: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
-        figure.savefig(contents, format=kind, dpi=300, metadata=dates.get(kind, {}))
+        figure.savefig(contents, format=kind, dpi=dpi, metadata=dates.get(kind, {}))
     files.write(target, contents.getvalue())
 
 

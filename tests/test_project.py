@@ -112,3 +112,15 @@ def test_pins_agree():
 
 def test_lock_is_not_tracked():
     assert git_files("--cached", "uv.lock") == []
+
+
+def test_the_gallery_shows_every_script_of_the_portfolio():
+    folder = ROOT / "docs" / "portfolio"
+    page = (folder / "gallery.md").read_text()
+    scripts = sorted((ROOT / "examples" / "portfolio").glob("pf*.py"))
+    assert len(scripts) == 24
+    for script in scripts:
+        assert f"examples/portfolio/{script.name})" in page
+    shown = re.findall(r"^!\[.*\]\((.*\.png)\)$", page, re.MULTILINE)
+    assert len(shown) == 25
+    assert {path.name for path in folder.glob("*.png")} == set(shown)

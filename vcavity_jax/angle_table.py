@@ -16,7 +16,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Inexact
+from jaxtyping import Array, ArrayLike, Float, Inexact
 
 from vcavity_jax.bihemispherical import forward_specular, index_parts, unit_legendre
 from vcavity_jax.resolution import AngleTableResolution, BihemisphericalResolution
@@ -219,21 +219,22 @@ class BihemisphericalTable(eqx.Module):
         """
         return cls(_values(jnp.full((), jnp.inf, index.real.dtype), index, model, resolution), resolution)
 
-    def average(self, roughness: Float[Array, ""], slopes: Slopes = "beckmann") -> Float[Array, " w"]:
+    def average(self, roughness: ArrayLike, slopes: Slopes = "beckmann") -> Float[Array, " w"]:
         """The same as ``average``, up to the roughness for which the table was built.
 
         Args:
             roughness: m ≥ 0.
             slopes: distribution of the facet slopes.
         """
-        return _weights(roughness, self.resolution, slopes) @ self.values
+        return _weights(jnp.asarray(roughness, self.values.dtype), self.resolution, slopes) @ self.values
 
-    def at(self, angle: Float[Array, ""]) -> Float[Array, " w"]:
+    def at(self, angle: ArrayLike) -> Float[Array, " w"]:
         """Reflectance of grooves of one dihedral angle, interpolated.
 
         Args:
             angle: radians, up to π, and at least the lower end of the table's last block; below, NaN.
         """
+        angle = jnp.asarray(angle, self.values.dtype)
         blocks = _blocks(self.resolution)
         nodes = np.array([b.nodes for b in blocks])
         ends = jnp.asarray([[b.lower, b.upper] for b in blocks], angle.dtype)
