@@ -28,8 +28,14 @@ from fitting.solve import warn_of_float32
 from fitting.target import Look, Target
 from vcavity_jax import colorimetry
 
-_LIMIT_WEIGHT = 100.0
-"""A limit exceeded by ΔE 1 costs as much as a color that is off by 100 steps."""
+_LIMIT_WEIGHTS = (1.0, 10.0, 100.0)
+"""A limit exceeded by ΔE 1 costs as much as a color that is off by so many steps: more in each round of a descent.
+
+With the last weight from the beginning, a descent creeps along the edge of what the limits allow.
+"""
+
+_PULL = 0.01
+"""A standard deviation of a smooth spectrum's coefficient costs so many steps: of all that serve, the plainest."""
 
 _SAME = 1e-3
 _MOST_SOLUTIONS = 8
@@ -189,6 +195,7 @@ class _Setting(NamedTuple):
         whites: of each look, shape (K, 3).
         values: of the targets: L*a*b*, or spectra.
         limits: of the targets.
+        weight: of what exceeds a limit.
     """
 
     data: Data
@@ -196,6 +203,7 @@ class _Setting(NamedTuple):
     whites: Array
     values: tuple[Array, ...]
     limits: tuple[Array, ...]
+    weight: Array
 
 
 class _Evaluation(NamedTuple):
@@ -230,6 +238,11 @@ class _Program:
             tristimulus = jnp.einsum("kl,klc->kc", factors, setting.weights, precision="highest")
             colors = colorimetry.lab(tristimulus, setting.whites)
             residuals, reached = self.judged(factors, colors, setting)
+            hidden = np.array(sorted(self.layout.hidden), int)
+            if hidden.size:
+                numbers = x[: x.shape[0] - self.layout.free_spectra * self.layout.blocks]
+                pull = self.layout.prior_residuals(numbers, setting.data)[hidden]
+                residuals = jnp.concatenate([residuals, _PULL * pull])
             return (residuals, colors), (residuals, colors, reached)
 
         (jacobian, by_unknown), (residuals, colors, reached) = jax.jacfwd(everything, has_aux=True)(x)
@@ -255,7 +268,7 @@ class _Program:
             else:
                 between = colorimetry.delta_e_2000(colors[looks[0]], colors[looks[1]])
                 excess = between - limit if kind == "alike" else limit - between
-                parts.append(_LIMIT_WEIGHT * jnp.maximum(excess, jnp.zeros_like(excess))[None])
+                parts.append(setting.weight * jnp.maximum(excess, jnp.zeros_like(excess))[None])
                 reached.append(between)
         return jnp.concatenate(parts), jnp.stack(reached)
 
@@ -279,7 +292,8 @@ def design(
     Args:
         scene: with a place for everything; the values of what is free do not matter, its view neither.
         free: from ``fitting.free``, of the scene (no gain or other matter of an instrument): numbers, or spectra
-            with a value at each wavelength or a form. Priors are not used, bounds are.
+            with a value at each wavelength or a form. Bounds are used; priors are not, but a smooth spectrum is
+            as plain as the targets allow.
         targets: from ``fitting.target``.
         wavelengths_nm: of the scene's spectra, nm, shape (L,): the visible range if there is a color in it.
         starts: how many points, spread evenly over the allowed ranges, are tried; the better half is descended
@@ -310,11 +324,14 @@ def design(
     program = _Program(problem.layout, places, kinds)
     compiled = _KEPT.get((problem.layout.key, places, kinds), lambda: jax.jit(program.evaluated))
 
-    def evaluated(x: np.ndarray) -> _Evaluation:
-        return _Evaluation(*(np.asarray(a, np.float64) for a in compiled(jnp.asarray(x, dtype), setting)))
+    def evaluated(x: np.ndarray, weight: float = _LIMIT_WEIGHTS[-1]) -> _Evaluation:
+        weighted = setting._replace(weight=jnp.asarray(weight, dtype))
+        return _Evaluation(*(np.asarray(a, np.float64) for a in compiled(jnp.asarray(x, dtype), weighted)))
 
     dtype = problem.data.center.dtype
-    ends = _descents(evaluated, low, high, starts, seed, max_steps)
+    limited = any(kind in ("alike", "different") for kind, _ in kinds)
+    rounds = _LIMIT_WEIGHTS if limited else _LIMIT_WEIGHTS[-1:]
+    ends = _descents(evaluated, rounds, low, high, starts, seed, max_steps)
     if not ends:
         raise ValueError("the model gives no number from any start; expected narrower ranges, or another material")
     found = [(end, evaluated(end.place)) for end in _distinct(ends, high - low)]
@@ -338,7 +355,8 @@ class _End(NamedTuple):
 
 
 def _descents(
-    evaluated: Callable[[np.ndarray], _Evaluation],
+    evaluated: Callable[[np.ndarray, float], _Evaluation],
+    rounds: Sequence[float],
     low: np.ndarray,
     high: np.ndarray,
     starts: int,
@@ -349,31 +367,35 @@ def _descents(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # a number of starts that is no power of two
         shares = qmc.Sobol(len(low), rng=np.random.default_rng(seed)).random(starts)
-    kept: tuple[bytes, _Evaluation] = b"", _Evaluation(*(np.zeros(0) for _ in range(4)))
+    kept: tuple[tuple[bytes, float], _Evaluation] = (b"", 0.0), _Evaluation(*(np.zeros(0) for _ in range(4)))
 
-    def at(x: np.ndarray) -> _Evaluation:
+    def at(x: np.ndarray, weight: float) -> _Evaluation:
         nonlocal kept
-        if kept[0] != x.tobytes():
-            kept = x.tobytes(), evaluated(x)
+        key = x.tobytes(), weight
+        if kept[0] != key:
+            kept = key, evaluated(x, weight)
         return kept[1]
 
     tried = low + (high - low) * np.clip(shares, 0.01, 0.99)
-    costs = np.array([np.sum(at(x).residuals ** 2) + 0 * np.sum(at(x).jacobian) for x in tried])
+    begun = [at(x, rounds[0]) for x in tried]
+    costs = np.array([np.sum(one.residuals**2) + 0 * np.sum(one.jacobian) for one in begun])
     better = np.argsort(costs)[: max((starts + 1) // 2, 1)]
     found = []
-    for begun in tried[better[np.isfinite(costs[better])]]:
+    for place in tried[better[np.isfinite(costs[better])]]:
         try:
-            end = least_squares(
-                lambda x: at(x).residuals,
-                begun,
-                lambda x: at(x).jacobian,
-                bounds=(low, high),
-                x_scale=high - low,
-                ftol=1e-10,
-                xtol=1e-10,
-                gtol=1e-12,
-                max_nfev=max_steps,
-            )
+            for weight in rounds:
+                end = least_squares(
+                    lambda x, weight=weight: at(x, weight).residuals,
+                    place,
+                    lambda x, weight=weight: at(x, weight).jacobian,
+                    bounds=(low, high),
+                    x_scale=high - low,
+                    ftol=1e-10,
+                    xtol=1e-10,
+                    gtol=1e-12,
+                    max_nfev=max_steps,
+                )
+                place = end.x
         except ValueError:  # No number on the way.
             continue
         found.append(_End(end.x, end.active_mask != 0, 2 * float(end.cost)))
@@ -398,6 +420,7 @@ def _setting(problem: Problem, wishes: tuple[Target, ...], looks: list[Look], gr
         jnp.asarray(whites, dtype),
         tuple(jnp.asarray(wish.value, dtype) for wish in wishes),
         tuple(jnp.asarray(wish.limit, dtype) for wish in wishes),
+        jnp.asarray(_LIMIT_WEIGHTS[-1], dtype),
     )
 
 
@@ -428,32 +451,44 @@ def _distinct(ends: list[_End], room: np.ndarray) -> list[_End]:
 
 
 def _solution(problem: Problem, wishes: tuple[Target, ...], end: _End, at: _Evaluation) -> Solution:
+    layout = problem.layout
     count = len(problem.numbers)
     values = np.array([float(p.from_natural(x)) for p, x in zip(problem.numbers, end.place, strict=False)])
-    shape = problem.layout.free_spectra, problem.layout.blocks
-    spectra = end.place[count:].reshape(shape)
+    shape = layout.free_spectra, layout.blocks
+    free = end.place[count:].reshape(shape)
+    spectra = dict(zip(problem.free_names, free, strict=True))
     rows = [bool(row.any()) for row in end.bound[count:].reshape(shape)]
-    at_bound = [p.name for p, bound in zip(problem.numbers, end.bound, strict=False) if bound]
+    at_bound = [problem.numbers[i].name for i in _listed(problem) if end.bound[i]]
     at_bound += [name for name, bound in zip(problem.free_names, rows, strict=True) if bound]
+    span = float(layout.wavelengths_nm[0]), float(layout.wavelengths_nm[-1])
+    for use, names in problem.formed:
+        whole = use.form.spectrum(layout.wavelengths_nm, span, jnp.asarray(values[list(use.numbers)]))
+        spectra |= dict(zip(names, np.asarray(whole), strict=True))
     met = tuple(
         bool(r >= w.limit - _MET if w.kind == "different" else r <= w.limit + _MET)
         for w, r in zip(wishes, at.reached, strict=True)
     )
     return Solution(
-        {p.name: float(v) for p, v in zip(problem.numbers, values, strict=True)},
-        dict(zip(problem.free_names, spectra, strict=True)),
+        {problem.numbers[i].name: float(values[i]) for i in _listed(problem)},
+        spectra,
         end.cost,
         tuple(float(r) for r in at.reached),
         met,
         tuple(at_bound),
-        problem.fitted_scenes(values, spectra)[0],
+        problem.fitted_scenes(values, free)[0],
     )
+
+
+def _listed(problem: Problem) -> list[int]:
+    """Numbers that mean something by themselves."""
+    return [i for i in range(len(problem.numbers)) if i not in problem.layout.hidden]
 
 
 def _tolerances(problem: Problem, best: Solution, slopes: np.ndarray) -> dict[str, float]:
     """From slopes in natural coordinates."""
     found = {}
-    for i, p in enumerate(problem.numbers):
+    for i in _listed(problem):
+        p = problem.numbers[i]
         steepest = float(np.max(slopes[:, i]))
         scale = best.values[p.name] if p.scale == "log" else 1.0
         found[p.name] = scale / steepest if steepest > 0 else math.inf

@@ -174,6 +174,11 @@ class Layout:
         """Groups of values that share no unknown but the numbers: the wavelengths, if a spectrum is free."""
         return len(self.wavelengths_nm) if self.free_spectra else 1
 
+    @property
+    def hidden(self) -> frozenset[int]:
+        """Numbers that mean nothing by themselves: coefficients of a form that does not list them."""
+        return frozenset(i for use in self.forms if not use.form.listed for i in use.numbers)
+
     def values(self, natural: Float[Array, " p"]) -> Float[Array, " p"]:
         """From natural coordinates to the scene's units."""
         mask = np.asarray(self.logarithmic, bool)

@@ -5,7 +5,7 @@ is unknown is minimized over at each point of the search (variable projection).
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 import vcavity_jax as vc
 from fitting.arrow import CONVERGED, End, Lane
 from fitting.information import Normal, normal_equations
-from fitting.layout import Data, Layout
+from fitting.layout import Data, FormUse, Layout
 from fitting.measurement import Measurement
 from fitting.parameters import Parameter, SpectralParameter
 from fitting.programs import CHUNK, Programs
@@ -128,6 +128,15 @@ class Problem:
     def searched(self) -> tuple[Parameter, ...]:
         """The numbers whose whole range is searched."""
         return tuple(p for p in self.numbers if p.searched)
+
+    @property
+    def formed(self) -> Iterator[tuple[FormUse, tuple[str, ...]]]:
+        """The spectra with a form, and the names of their quantities."""
+        uses = iter(self.layout.forms)
+        for parameter in self.spectral:
+            if parameter.form is not None:
+                suffix = parameter.name[parameter.name.index("[") :] if "[" in parameter.name else ""
+                yield next(uses), tuple(quantity + suffix for quantity in parameter.quantities)
 
     @property
     def linear(self) -> tuple[int, ...]:

@@ -132,7 +132,7 @@ def report(problem: Problem, found: Found, unknown: bool) -> FitResult:
         pieces, inside = profile.region(chi_square, threshold)
         searched.append(_Searched(error, pieces, inside, kink is not None, (left, right), profile))
     along = searched[0].profile.points if searched else found.table
-    hidden = _hidden(problem)
+    hidden = problem.layout.hidden
     others = {
         i: _beside(problem, minima, i, along, information, threshold)
         for i, p in enumerate(problem.numbers)
@@ -176,7 +176,7 @@ def _assemble(
     threshold: float,
 ) -> FitResult:
     minima, chi_square = found.minima, float(found.minima.chi_square[0])
-    hidden = _hidden(problem)
+    hidden = problem.layout.hidden
     estimates: dict[str, Estimate | SpectralEstimate] = {}
     open_names = []
     for i, p in enumerate(problem.numbers):
@@ -274,22 +274,17 @@ def _predicted(problem: Problem, minima: Descent, information: LocalInformation)
     return tuple(found)
 
 
-def _hidden(problem: Problem) -> set[int]:
-    """Coefficients that mean nothing by themselves."""
-    return {i for use in problem.layout.forms if not use.form.listed for i in use.numbers}
-
-
-def _named(problem: Problem, values: np.ndarray, hidden: set[int]) -> dict[str, float]:
+def _named(problem: Problem, values: np.ndarray, hidden: frozenset[int]) -> dict[str, float]:
     return {p.name: float(values[i]) for i, p in enumerate(problem.numbers) if i not in hidden}
 
 
-def _minimum(problem: Problem, minima: Descent, index: int, hidden: set[int]) -> Minimum:
+def _minimum(problem: Problem, minima: Descent, index: int, hidden: frozenset[int]) -> Minimum:
     spectra = dict(zip(problem.free_names, minima.spectra[index], strict=True))
     values = _named(problem, minima.values[index], hidden)
     return Minimum(values, float(minima.chi_square[index]), spectra)
 
 
-def _starts(problem: Problem, descents: Descent, hidden: set[int]) -> tuple[Start, ...]:
+def _starts(problem: Problem, descents: Descent, hidden: frozenset[int]) -> tuple[Start, ...]:
     return tuple(
         Start(
             _named(problem, descents.values[k], hidden),
@@ -323,12 +318,8 @@ def _spectral_estimates(
                 [(np.where(missing, bounds[0, row], low[row]), np.where(missing, bounds[1, row], high[row]))],
                 at_bound & ~missing,
             )
-    forms = iter(layout.forms)
     span = float(layout.wavelengths_nm[0]), float(layout.wavelengths_nm[-1])
-    for parameter in problem.spectral:
-        if parameter.form is None:
-            continue
-        use = next(forms)
+    for use, names in problem.formed:
         numbers = list(use.numbers)
 
         def spectrum(values: Any, form: Any = use.form) -> Any:
@@ -338,10 +329,9 @@ def _spectral_estimates(
         whole, slopes = np.asarray(spectrum(best)), np.asarray(jax.jacfwd(spectrum)(best))
         covariance = information.covariance[np.ix_(numbers, numbers)]
         errors = np.sqrt(np.einsum("qwi,ij,qwj->qw", slopes, covariance, slopes))
-        suffix = parameter.name[parameter.name.index("[") :] if "[" in parameter.name else ""
-        for row, quantity in enumerate(parameter.quantities):
+        for row, name in enumerate(names):
             low, high = (whole[row] + sign * np.sqrt(threshold) * errors[row] for sign in (-1, 1))
-            found[quantity + suffix] = SpectralEstimate(
+            found[name] = SpectralEstimate(
                 layout.wavelengths_nm, whole[row], errors[row], [(low, high)], np.zeros(len(low), bool)
             )
     return found

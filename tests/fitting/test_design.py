@@ -87,6 +87,31 @@ def test_limits_are_kept():
     assert alike.best.reached[1] <= 1.05
 
 
+def test_a_limit_does_not_keep_the_colors_from_being_met():
+    """Two panels, two colors, and a difference that these colors have anyhow."""
+    gray = np.full(len(NM), 0.4)
+    panels = vc.TwoPanels(vc.Lambertian(gray), vc.Lambertian(gray))
+    left, right = target.Look(0.9), target.Look(-0.9)
+    blue, orange = (52.0, -10.0, -32.0), (62.0, 25.0, 40.0)
+    least = 0.9 * float(colorimetry.delta_e_2000(np.array(blue), np.array(orange)))
+    parameters = [
+        free.angle(60, 130),
+        free.reflectance(where=lambda s: s.material.first.reflectance, name="first", smooth_nm=60),
+        free.reflectance(where=lambda s: s.material.second.reflectance, name="second", smooth_nm=60),
+    ]
+    wishes = [target.color(blue, left), target.color(orange, right), target.different(left, right, least=least)]
+    found = designed(wishes, parameters, grooves(90, panels), starts=4)
+    assert found.met
+    assert max(found.best.reached[:2]) < 0.01
+    # Smooth spectra are shown as such; their coefficients mean nothing.
+    assert set(found.best.values) == set(found.tolerances) == {"angle"}
+    assert set(found.best.spectra) == {"first", "second"}
+    material = found.best.scene.material
+    np.testing.assert_allclose(found.best.spectra["first"], material.first.reflectance, atol=1e-12)
+    assert np.abs(np.diff(found.best.spectra["second"])).max() < 0.2  # The plainest that serves.
+    assert "first 0." in found.summary()
+
+
 def test_a_metamer_under_another_light():
     """A free smooth reflectance has the color in D65, and not in A."""
     flat = grooves(180)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import vcavity_jax as vc
 from vcavity_jax import bihemispherical, resolution
 from vcavity_jax.angle_table import BihemisphericalTable, average
 from vcavity_jax.resolution import angle_table_resolution, bihemispherical_orders
@@ -221,6 +222,18 @@ def test_random_grooves(model: str) -> None:
     exact = [evaluate(1e-12, None, degrees, n, model=MODELS[model]) for n in index]
     np.testing.assert_allclose(at.T, exact, rtol=0, atol=tolerance)
     assert np.all(np.isnan(table.at(jnp.radians(0.2))))
+
+
+def test_the_public_table_is_the_model_and_takes_plain_numbers() -> None:
+    gold = vc.Specular(np.array([0.43 + 2.455j]), polarization="unpolarized")
+    table = vc.bihemispherical_table(gold, 1e-6, roughest=1.0)
+    for surface, found in (
+        (vc.BeckmannGrooves(0.4), table.average(0.4)),
+        (vc.GaussianGrooves(0.4), table.average(0.4, "gaussian")),
+        (vc.VGrooves(1.2), table.at(1.2)),
+    ):
+        scene = vc.Scene(surface, gold, vc.Diffuse(), vc.Hemisphere())
+        np.testing.assert_allclose(found, vc.reflectance_factor(scene, 1e-6), rtol=0, atol=2e-6)
 
 
 @cache
