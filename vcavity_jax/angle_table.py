@@ -19,6 +19,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Inexact
 
 from vcavity_jax.bihemispherical import forward_specular, index_parts, unit_legendre
+from vcavity_jax.quadrature import chebyshev
 from vcavity_jax.resolution import AngleTableResolution, BihemisphericalResolution
 from vcavity_jax.roughness import Slopes, density, groove_angle
 from vcavity_jax.safe import elementwise_forward, floor_of
@@ -111,7 +112,7 @@ def _weights(
         u = start + (end - start) * node
         x = (2 * groove_angle(roughness, u) - block.lower - block.upper) / (block.upper - block.lower)
         weight = (end - start) * weight * density(u, slopes)
-        parts.append((_chebyshev(x, block.nodes) @ weight) @ jnp.asarray(block.to_nodes, m.dtype))
+        parts.append((chebyshev(x, block.nodes) @ weight) @ jnp.asarray(block.to_nodes, m.dtype))
     steep, matrices, positions = _static_weights(resolution)
     if len(positions):
         # The slopes exceed 1: a roughness as small as this leaves nothing there.
@@ -122,14 +123,6 @@ def _weights(
     weights = jnp.concatenate(parts)
     # What lies beyond the cutoff, a tenth of the tolerance, is spread over the rest.
     return weights / jnp.sum(weights)
-
-
-def _chebyshev(x: Float[Array, "..."], nodes: int) -> Float[Array, "degrees ..."]:
-    """Chebyshev polynomials by their recurrence: smooth at the ends too."""
-    rows = [jnp.ones_like(x), x]
-    for _ in range(nodes - 2):
-        rows.append(2 * x * rows[-1] - rows[-2])
-    return jnp.stack(rows[:nodes])
 
 
 def _values(
@@ -247,7 +240,7 @@ class BihemisphericalTable(eqx.Module):
         matrices = np.zeros((len(blocks), longest, longest))
         for i, b in enumerate(blocks):
             matrices[i, : b.nodes, : b.nodes] = b.to_nodes
-        weights = _chebyshev(x, longest) @ jnp.asarray(matrices, angle.dtype)[block]
+        weights = chebyshev(x, longest) @ jnp.asarray(matrices, angle.dtype)[block]
         first = jnp.asarray(np.cumsum(nodes) - nodes)[block]
         padded = jnp.pad(self.values, ((0, longest), (0, 0)))
         value = weights @ lax.dynamic_slice_in_dim(padded, first, longest)

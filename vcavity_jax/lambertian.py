@@ -15,6 +15,7 @@ from jax import lax
 from jaxtyping import Array, Complex, Float
 
 from vcavity_jax import wiener_hopf
+from vcavity_jax.quadrature import chebyshev
 from vcavity_jax.wiener_hopf import Factorization, Resolution, complex_expm1
 
 
@@ -25,77 +26,97 @@ class MeanResolution:
     Args:
         step: spacing in asinh(2τ).
         reach: largest asinh(2τ).
-        symbol_step: spacing of the symbol's own sum.
-        symbol_reach: its end where the symbol is summed along the real line.
-        shifted_reach: its end where it is summed along the shifted one.
+        smallest_angle: down to which the symbol is tabulated, radians.
+        precision: of the symbol, relative.
     """
 
     step: float
     reach: float
-    symbol_step: float
-    symbol_reach: float
-    shifted_reach: float
+    smallest_angle: float
+    precision: float
 
 
-OSCILLATING = 8.0
+_OSCILLATING = 8.0
 """τ beyond which the symbol is summed on a shifted path, where it decays instead of oscillating."""
 
-SHIFT = np.pi / 4
+_SHIFT = np.pi / 4
 """How far that path is shifted: half way to the nearest singularity."""
 
+_DIGITS = 38.0
+"""-ln of the error of the symbol's own sum, for grooves of 40°; narrower ones need more."""
 
-class _MeanNodes(NamedTuple):
-    tau: np.ndarray
+_MOST_TERMS = 160
+
+
+def _symbol(angle: np.ndarray, tau: np.ndarray, smallest_angle: float) -> np.ndarray:
+    """1 - k̂ of many angles and τ, without cancellation, to the last digits, shape (angles, τ)."""
+    digits = _DIGITS + 3 * max(math.log(math.radians(40) / smallest_angle), 0)
+    step = 4.4 / digits
+    w = np.arange(int(np.ceil(0.62 * digits / step)) + 1) * step
+    weight = np.full(len(w), step)
+    weight[0] /= 2
+    s, squared_cosine = np.sin(angle / 2)[:, None], np.cos(angle / 2)[:, None] ** 2
+    sinh = s * np.sinh(w)
+    root = np.sqrt(1 + sinh * sinh)
+    measure = squared_cosine * weight / np.cosh(w) ** 2 / root
+    smooth = s**2 + np.sum(measure * sinh * sinh / (1 + root), axis=1, keepdims=True)
+    slow = tau <= _OSCILLATING
+    found = np.empty((len(angle), len(tau)))
+    waves = np.sin(tau[slow, None] * np.arcsinh(sinh)[:, None]) ** 2
+    found[:, slow] = smooth + 2 * np.einsum("anw,aw->an", waves, measure)
+    shifted = s * np.sinh(w + 1j * _SHIFT)
+    root = np.sqrt(1 + shifted * shifted)
+    density = weight / np.cosh(w + 1j * _SHIFT) ** 2 / root
+    waves = np.exp(2j * tau[~slow, None] * np.log(shifted + root)[:, None])
+    found[:, ~slow] = 1 - squared_cosine * np.einsum("anw,aw->an", waves, density).real
+    return found
+
+
+class _MeanTable(NamedTuple):
+    """Weights 2 dτ / (π (4τ² + 1)) of the nodes, and ln(1 - k̂) there as Chebyshev series in ln α."""
+
     weight: np.ndarray
-    slow: int
-    w: np.ndarray
-    w_weight: np.ndarray
-    z: np.ndarray
+    series: np.ndarray
 
 
 @lru_cache(maxsize=64)
-def _mean_nodes(resolution: MeanResolution) -> _MeanNodes:
+def _mean_table(resolution: MeanResolution) -> _MeanTable:
     x = np.arange(int(np.ceil(resolution.reach / resolution.step)) + 1) * resolution.step
     tau, weight = np.sinh(x) / 2, 2 * resolution.step / (np.pi * np.cosh(x))
-    w = np.arange(int(np.ceil(resolution.symbol_reach / resolution.symbol_step)) + 1) * resolution.symbol_step
-    w_weight = np.full(len(w), resolution.symbol_step)
-    weight[0], w_weight[0] = weight[0] / 2, w_weight[0] / 2
-    z = w[: int(np.ceil(resolution.shifted_reach / resolution.symbol_step)) + 1] + 1j * SHIFT
-    return _MeanNodes(tau, weight, int(np.sum(tau <= OSCILLATING)), w, w_weight, z)
+    weight[0] /= 2
+    ends = np.log([resolution.smallest_angle, np.pi])
+    place = np.cos(np.pi * (np.arange(_MOST_TERMS) + 0.5) / _MOST_TERMS)
+    angle = np.exp(ends[0] + (ends[1] - ends[0]) * (place + 1) / 2)
+    values = np.log(_symbol(angle, tau, resolution.smallest_angle))
+    # Of a function at these places, the coefficients are a cosine transform.
+    waves = np.cos(np.pi * np.outer(np.arange(_MOST_TERMS), np.arange(_MOST_TERMS) + 0.5) / _MOST_TERMS)
+    series = 2 / _MOST_TERMS * waves @ values
+    series[0] /= 2
+    size = np.abs(series).max(axis=1)
+    least = max(resolution.precision / 4, 10 * float(np.median(size[-20:])))  # The last ones are rounding.
+    needed = max(int(np.flatnonzero(size > least)[-1]) + 1, 2)
+    return _MeanTable(weight, series[:needed])
 
 
-def mean_symbol(angle: Float[Array, ""], resolution: MeanResolution) -> tuple[Array, Array]:
-    """1 - k̂ at the nodes of the sums for G, without cancellation, and their weights 2 dτ / (π (4τ² + 1)).
+def log_symbol(angle: Float[Array, ""], resolution: MeanResolution) -> tuple[Array, Array]:
+    """ln(1 - k̂) at the nodes of the sums for G, and their weights 2 dτ / (π (4τ² + 1)).
+
+    The symbol depends on the angle alone and is smooth, so a polynomial takes the place of its integral.
 
     Args:
         angle: dihedral angle, radians.
         resolution: see ``resolution.mean_resolution``.
 
     Returns:
-        Complement and weight, both of shape (nodes, 1) to go with κ.
+        Logarithm and weight, both of shape (nodes, 1) to go with κ.
     """
-    nodes = _mean_nodes(resolution)
-    dtype = angle.dtype
-    tau, weight = jnp.asarray(nodes.tau, dtype), jnp.asarray(nodes.weight, dtype)
-    s = jnp.sin(angle / 2)
-    squared_cosine = jnp.cos(angle / 2) ** 2
-    sinh = s * jnp.asarray(np.sinh(nodes.w), dtype)
-    root = jnp.sqrt(1 + sinh * sinh)
-    measure = squared_cosine * jnp.asarray(nodes.w_weight / np.cosh(nodes.w) ** 2, dtype) / root
-    t = 2 * jnp.arcsinh(sinh)
-    smooth = s * s + jnp.sum(measure * sinh * sinh / (1 + root))
-    parts = [smooth + 2 * jnp.sin(tau[: nodes.slow, None] * t / 2) ** 2 @ measure]
-    if nodes.slow < len(nodes.tau):
-        complex_dtype = jnp.result_type(lax.complex(s, s))
-        shifted = s.astype(complex_dtype) * jnp.asarray(np.sinh(nodes.z), complex_dtype)
-        root = jnp.sqrt(1 + shifted * shifted)
-        density = jnp.asarray(nodes.w_weight[: len(nodes.z)] / np.cosh(nodes.z) ** 2, complex_dtype) / root
-        t_complex = 2 * jnp.log(shifted + root)
-        phase = tau[nodes.slow :, None] * t_complex.real
-        wave = jnp.exp(-tau[nodes.slow :, None] * t_complex.imag)
-        decaying = (wave * jnp.cos(phase)) @ density.real - (wave * jnp.sin(phase)) @ density.imag
-        parts.append(1 - squared_cosine * decaying)
-    return jnp.concatenate(parts)[:, None], weight[:, None]
+    table = _mean_table(resolution)
+    first, last = math.log(resolution.smallest_angle), math.log(math.pi)
+    inside = jnp.maximum(angle, jnp.full_like(angle, resolution.smallest_angle))
+    x = jnp.minimum((2 * jnp.log(inside) - first - last) / (last - first), jnp.ones_like(angle))
+    terms = chebyshev(x, len(table.series))
+    value = jnp.matmul(terms, jnp.asarray(table.series, angle.dtype), precision="highest")
+    return value[:, None], jnp.asarray(table.weight, angle.dtype)[:, None]
 
 
 def mean_response(
@@ -110,8 +131,8 @@ def mean_response(
         kappa: -1 to 1, shape (K,).
         resolution: see ``resolution.mean_resolution``.
     """
-    complement, weight = mean_symbol(angle, resolution)
-    return jnp.exp(-jnp.sum(weight * jnp.log((1 - kappa) + kappa * complement), axis=0))
+    logarithm, weight = log_symbol(angle, resolution)
+    return jnp.exp(-jnp.sum(weight * jnp.log((1 - kappa) + kappa * jnp.exp(logarithm)), axis=0))
 
 
 def mean_exchange(
@@ -124,8 +145,8 @@ def mean_exchange(
         reflectance: of both panels, 0 to 1, shape (K,).
         resolution: see ``resolution.mean_resolution``.
     """
-    complement, weight = mean_symbol(angle, resolution)
-    symbol = 1 - complement
+    logarithm, weight = log_symbol(angle, resolution)
+    complement, symbol = jnp.exp(logarithm), -jnp.expm1(logarithm)
     rest = (1 - reflectance) + reflectance * complement
     slope = jnp.sum(weight * symbol * _log_quotient(reflectance * symbol, rest), axis=0)
     return slope * _expm1_quotient(reflectance * slope)
@@ -143,8 +164,8 @@ def mean_exchanges(
         product: r₁ r₂, 0 to 1, shape (K,).
         resolution: see ``resolution.mean_resolution``.
     """
-    complement, weight = mean_symbol(angle, resolution)
-    symbol = 1 - complement
+    logarithm, weight = log_symbol(angle, resolution)
+    complement, symbol = jnp.exp(logarithm), -jnp.expm1(logarithm)
     squared = product * symbol * symbol
     rest = (1 - product) + product * complement * (1 + symbol)
     even = jnp.sum(weight * symbol * symbol * _log_quotient(squared, rest), axis=0) / 2

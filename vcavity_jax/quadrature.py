@@ -87,6 +87,14 @@ def sum_over_panels(
     return add(split, panels, order, total)
 
 
+def chebyshev(x: Float[Array, "..."], count: int) -> Float[Array, "count ..."]:
+    """Chebyshev polynomials, twice as many in every step: T(m+j) = 2 T(m) T(j) - T(m-j). Smooth at the ends."""
+    terms = jnp.stack([jnp.ones_like(x), x])
+    while len(terms) < count:
+        terms = jnp.concatenate([terms, 2 * terms[-1] * terms[1:] - terms[-2::-1]])
+    return terms[:count]
+
+
 @dataclasses.dataclass(frozen=True)
 class Clustering:
     """A quadrature whose nodes cluster at the ends of an interval, for integrands that are singular there.

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from vcavity_jax.interfaced import InterfaceResolution
-from vcavity_jax.lambertian import OSCILLATING, SHIFT, MeanResolution
+from vcavity_jax.lambertian import MeanResolution
 from vcavity_jax.quadrature import Clustering
 from vcavity_jax.wiener_hopf import Resolution
 
@@ -50,17 +50,11 @@ def mean_resolution(tolerance: float, angle: float | None) -> MeanResolution:
     smallest = planned_angle(angle)
     narrow, demand = math.log(_PLANNED[-1] / smallest), -math.log(tolerance)
     digits = 12.5 + 1.1 * narrow + (0.68 + 0.045 * narrow) * max(demand - 6.9, 0)
-    step, reach = 4.4 / digits, 0.62 * digits
-    # Along the shifted path the symbol decays the more slowly, the narrower the groove.
-    w = np.arange(0, reach, step)
-    t = 2 * np.arcsinh(math.sin(smallest / 2) * np.sinh(w + 1j * SHIFT))
-    left = 2 * np.logaddexp(w, -w) - 2 * math.log(2) + OSCILLATING * t.imag
     return MeanResolution(
         step=8.0 / digits,
         reach=min(math.asinh(2 * 1.2 * digits / smallest), 12.5),
-        symbol_step=step,
-        symbol_reach=reach,
-        shifted_reach=float(w[left < digits][-1]) if np.any(left < digits) else step,
+        smallest_angle=smallest,
+        precision=max(tolerance / 20, 3e-14),
     )
 
 
