@@ -6,7 +6,7 @@ writes fits_per_second.md and .json into OUTDIR (a new temporary folder by defau
 
 Gold grooves of random angles, seen in diffuse light from six directions at 31 wavelengths, with noise of 0.005;
 the gain is known, or free. The rivals are scipy.optimize.least_squares (bounds, 2-point differences) on the
-thesis's recipe (thesis_recipe.py) and on our own model, from one start in the middle or the best of several random
+thesis's recipe (fitting.bench) and on our own model, from one start in the middle or the best of several random
 ones. All get the same problems in turns. Ours are compiled before the clock starts; fit also draws intervals, and
 fit_many makes its table anew in every call. OPENBLAS_NUM_THREADS=1 and taskset keep all to one core.
 """
@@ -24,9 +24,10 @@ from typing import Any
 
 import jax
 import numpy as np
-import thesis_recipe
 from scipy.optimize import least_squares
-from speed_against_error import describe_machine
+
+from fitting.bench import thesis_recipe
+from fitting.bench.measure import describe_machine
 
 jax.config.update("jax_enable_x64", True)
 

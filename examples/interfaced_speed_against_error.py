@@ -6,7 +6,7 @@ writes interfaced_speed_against_error.md into OUTDIR (a new temporary folder by 
 default is a short run; --full takes minutes: all cases, angles of 45° and 20°, tolerances 1e-3 to 1e-12, a batch.
 
 Spectra have 36 wavelengths. Angle, index, directions and reflectances are arguments of the programs, so that
-nothing is computed beforehand. The recipe of the thesis, thesis_recipe.py, has 64 facets and one reflection; here
+nothing is computed beforehand. The recipe of the thesis, fitting.bench, has 64 facets and one reflection; here
 its wavelengths are solved together. Errors are the largest of a spectrum, against a tolerance of 1e-13; times are
 the shortest of many calls, of compiled programs.
 """
@@ -23,11 +23,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import thesis_recipe
 from jaxtyping import Array
-from speed_against_error import REFLECTANCES, SMALLEST_ANGLE, TOLERANCE_OF_REFERENCE, compiled, describe_machine
+from speed_against_error import REFLECTANCES, SMALLEST_ANGLE, TOLERANCE_OF_REFERENCE, compiled
 
 import vcavity_jax as vc
+from fitting.bench import thesis_recipe
+from fitting.bench.measure import describe_machine
 from vcavity_jax import interfaced_scene, planning, wiener_hopf
 from vcavity_jax.directions import components
 from vcavity_jax.planning import Plan

@@ -5,7 +5,7 @@
 writes samplers_compared.md into OUTDIR (a new temporary folder by default) and prints it: rendered gold of 45
 degrees with free angle, gain and offset, and rendered orange of 60 degrees with free angle and reflectance
 (--full: and gain and offset, and by NUTS and importance sampling, too). What one would use instead is emcee's
-stretch move on a log density in NumPy: the thesis's recipe (thesis_recipe.py). Its time is that of the log
+stretch move on a log density in NumPy: the thesis's recipe (fitting.bench). Its time is that of the log
 density, from some hundred calls, times the autocorrelation time of the stretch move, from a long chain with a
 compiled model.
 """
@@ -20,8 +20,9 @@ import emcee
 import jax
 import jax.numpy as jnp
 import numpy as np
-import thesis_recipe
-from speed_against_error import describe_machine
+
+from fitting.bench import thesis_recipe
+from fitting.bench.measure import describe_machine
 
 jax.config.update("jax_enable_x64", True)
 

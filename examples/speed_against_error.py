@@ -6,15 +6,13 @@ writes speed_against_error.md, .json and .png into OUTDIR (a new temporary folde
 table. The default is a short run; --full takes minutes: 1, 100 and 10 000 scenes, tolerances 1e-3 to 1e-12.
 
 A scene is a groove of random angle, 20° to 170°, with a spectrum of 36 wavelengths. The recipe of the thesis
-is thesis_recipe.py. It runs scene by scene, its wavelengths vectorized; in the specular model its 100 entry
+is fitting.bench. It runs scene by scene, its wavelengths vectorized; in the specular model its 100 entry
 positions are vectorized too, which is kinder than one ray after the other. Ours is compiled once per batch.
 It keeps one core busy; OPENBLAS_NUM_THREADS=1 holds NumPy to one as well.
 """
 
 import argparse
 import json
-import os
-import platform
 import statistics
 import tempfile
 import time
@@ -29,10 +27,11 @@ import jax.numpy as jnp
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
-import thesis_recipe
 from jaxtyping import Array
 
 import vcavity_jax as vc
+from fitting.bench import thesis_recipe
+from fitting.bench.measure import describe_machine
 
 FRONTAL = 0.0, 0.0
 SLANTED = np.deg2rad(45.0), 0.0
@@ -303,17 +302,6 @@ def draw(rows: list[Row], path: Path) -> None:
     figure.tight_layout()
     figure.savefig(path, dpi=150)
     plt.close(figure)
-
-
-def describe_machine() -> dict[str, str]:
-    """What the times depend on."""
-    load = ", ".join(f"{x:.1f}" for x in os.getloadavg()) if hasattr(os, "getloadavg") else "unknown"
-    return {
-        "hardware": f"{os.cpu_count()} CPUs, {platform.machine()}, {platform.system()}",
-        "load average at the start": load,
-        "versions": f"Python {platform.python_version()}, jax {jax.__version__} on {jax.default_backend()}, "
-        f"NumPy {np.__version__}, float64",
-    }
 
 
 def main() -> None:

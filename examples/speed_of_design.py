@@ -20,7 +20,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
-from speed_against_error import describe_machine
+
+from fitting.bench.measure import describe_machine
 
 jax.config.update("jax_enable_x64", True)
 

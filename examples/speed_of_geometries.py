@@ -28,7 +28,6 @@ import jax.numpy as jnp
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
-import thesis_recipe
 from jaxtyping import Array
 from speed_against_error import (
     FRONTAL,
@@ -43,7 +42,6 @@ from speed_against_error import (
     WAVELENGTHS,
     GradientRow,
     compiled,
-    describe_machine,
     measure_gradients,
     median_time,
 )
@@ -59,9 +57,11 @@ from thesis_grid import (
     sphere_of_views,
     trapped_mirrors,
 )
-from thesis_recipe import Real
 
 import vcavity_jax as vc
+from fitting.bench import thesis_recipe
+from fitting.bench.measure import describe_machine
+from fitting.bench.thesis_recipe import Real
 from vcavity_jax import planning, resolution
 from vcavity_jax.angle_table import BihemisphericalTable
 from vcavity_jax.planning import Plan

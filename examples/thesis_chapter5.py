@@ -21,12 +21,12 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-import thesis_recipe
 from scipy.optimize import brentq
-from thesis_recipe import Real
 
 import vcavity_jax as vc
 from fitting import Measurement
+from fitting.bench import thesis_recipe
+from fitting.bench.thesis_recipe import Real
 from vcavity_jax import colorimetry, fresnel
 
 jax.config.update("jax_enable_x64", True)

@@ -5,12 +5,12 @@ and wavelengths are vectorized. Used by speed_of_geometries.py, as is the indepe
 """
 
 import numpy as np
-import thesis_recipe
 from scipy.interpolate import CubicSpline
 from speed_against_error import GOLD, REFLECTANCES, SLANTED
-from thesis_recipe import Direction, Real
 
 import vcavity_jax as vc
+from fitting.bench import thesis_recipe
+from fitting.bench.thesis_recipe import Direction, Real
 
 EIGHT = np.deg2rad(8.0), 0.0
 TRAP = -EIGHT[0], 0.0, vc.geometries.GLOSS_TRAP
@@ -111,8 +111,8 @@ def facets_seen(angle: float, light: Weighted | None, views: Weighted) -> Real:
 def facets_in_trapped_sphere(angle: float, step_deg: float) -> Real:
     """The light as a grid of directions without those in the trap."""
     pairs, weight = directions_on_grid(step_deg, 360.0)
-    unit = np.array([thesis_recipe._unit(pair) for pair in pairs])
-    weight = np.where(unit @ thesis_recipe._unit(TRAP[:2]) > np.cos(TRAP[2]), 0, weight)
+    unit = np.array([thesis_recipe.unit(pair) for pair in pairs])
+    weight = np.where(unit @ thesis_recipe.unit(TRAP[:2]) > np.cos(TRAP[2]), 0, weight)
     return facets_seen(angle, (pairs, weight / weight.sum()), ([EIGHT], np.ones(1)))
 
 

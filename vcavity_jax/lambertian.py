@@ -95,7 +95,9 @@ def _mean_table(resolution: MeanResolution) -> _MeanTable:
     size = np.abs(series).max(axis=1)
     least = max(resolution.precision / 4, 10 * float(np.median(size[-20:])))  # The last ones are rounding.
     needed = max(int(np.flatnonzero(size > least)[-1]) + 1, 2)
-    return _MeanTable(weight, series[:needed])
+    series = series[:needed]
+    series[0] -= series.sum(axis=0)  # Nothing is exchanged on a flat surface, exactly.
+    return _MeanTable(weight, series)
 
 
 def log_symbol(angle: Float[Array, ""], resolution: MeanResolution) -> tuple[Array, Array]:
@@ -225,7 +227,7 @@ def symbol_complement(angle: Float[Array, ""], resolution: Resolution) -> Comple
     grid = wiener_hopf.contour(resolution)
     tilt, end = wiener_hopf.SYMBOL_TILT, wiener_hopf.SYMBOL_END
     nodes = np.arcsinh(end / min(resolution.smallest_angle, 1.2) / np.cos(tilt)) / resolution.step
-    x = np.arange(int(np.ceil(nodes)) + 1) * resolution.step + 1j * tilt
+    x = np.arange(wiener_hopf.multiple_of_four(nodes + 1)) * resolution.step + 1j * tilt
     shape, slope = np.sinh(x), resolution.step * np.cosh(x)
     slope[0] /= 2
     # The integral does not depend on the path, so neither does its derivative: the path may stay fixed.

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vcavity_jax import bihemispherical, resolution, subsurface
+from vcavity_jax import bihemispherical, resolution, specular, subsurface
 from vcavity_jax.interfaced import InterfaceResolution
 from vcavity_jax.lambertian import MeanResolution
 from vcavity_jax.quadrature import Clustering
@@ -62,7 +62,7 @@ class Plan:
         step: sampling for shadows and masks.
         order: nodes per panel of an average over groove angles.
         cutoff: its largest slope.
-        most: orders of kinks that it resolves.
+        most: orders of kinks that it resolves; of a mirror seen from a direction, the reflections, 0 for many.
         clustering: nodes of a ring or a disk of light.
         averaging: nodes of an average over groove angles of diffusing panels.
         sphere: nodes of the integral over all directions of a mirror, None if it is not needed.
@@ -162,6 +162,8 @@ def plan(
     if isinstance(scene.material, Specular):
         if isinstance(scene.surface, VGrooves) and isinstance(scene.view, View):
             # An exact finite sum: it serves every tolerance and angle.
+            reflections = 0 if angle is None else int(np.ceil(np.pi / angle - 1e-14))
+            most = reflections if reflections <= specular.LONGEST_UNROLLED else 0
             tolerance, angle, order = 0.1, None, 0
         else:
             # A coarse ladder of orders keeps the number of compiled programs small.

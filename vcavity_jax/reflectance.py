@@ -275,8 +275,11 @@ def _specular(scene: Scene, directions: tuple[Array, Array, Array] | None, plan:
     if isinstance(light, DiffuseWithTrap):
         trap = specular.Trap(*components(light.polar, light.azimuth), light.half_angle)
     if isinstance(surface, VGrooves):
+        # Real arithmetic, and what polarization does not couple, are as fast in a loop.
+        unrolled = plan.most and plan.model == "full" and jnp.iscomplexobj(index)
+        angle, most = within_range(surface.angle), plan.most if unrolled else None
         value = specular.hemispherical_directional(
-            within_range(surface.angle), along, across, normal, index, plan.model, plan.symmetric, trap
+            angle, along, across, normal, index, plan.model, plan.symmetric, trap, most
         )
     else:
         value = roughness.specular_average(

@@ -13,7 +13,7 @@ import numpy as np
 from vcavity_jax.interfaced import InterfaceResolution
 from vcavity_jax.lambertian import MeanResolution
 from vcavity_jax.quadrature import Clustering
-from vcavity_jax.wiener_hopf import Resolution
+from vcavity_jax.wiener_hopf import Resolution, multiple_of_four
 
 NARROWEST = math.radians(0.1)
 """The smallest dihedral angle that the work is planned for when it is not known."""
@@ -130,7 +130,7 @@ def interface_resolution(
         tilt=path_tilt,
         step=scale * 3.0 / (demand + 1),
         reach=(0.4 if scale == 1 else 0.5) * demand + 2,
-        order=math.ceil((demand + 4) * (1 + 0.22 * narrow + 0.1 * narrow**2) / 2.25),
+        order=multiple_of_four((demand + 4) * (1 + 0.22 * narrow + 0.1 * narrow**2) / 2.25),
         images=orders,
         hits=orders + 1,
     )

@@ -28,7 +28,10 @@ class Trap(NamedTuple):
 
 
 def reflection_shares(
-    angle: Float[Array, "..."], across: Float[Array, "..."], normal: Float[Array, "..."]
+    angle: Float[Array, "..."],
+    across: Float[Array, "..."],
+    normal: Float[Array, "..."],
+    most: int | None = None,
 ) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
     """How often a ray that first meets one panel is reflected: M or M - 1 times, with which shares.
 
@@ -36,6 +39,7 @@ def reflection_shares(
         angle: dihedral angle, radians.
         across: e_y of the direction for the panel at y < 0, -e_y for the other.
         normal: e_z of the direction, ≥ 0.
+        most: reflections that the angle allows, where that is known; one more is rounding.
 
     Returns:
         M (whole numbers, at least 1, without gradient), the aperture's share of M reflections and that of
@@ -46,6 +50,8 @@ def reflection_shares(
     both = (jnp.pi - first) / angle
     alone = (jnp.pi - 2 * section) / angle
     count = lax.stop_gradient(jnp.maximum(jnp.floor(jnp.where(first < angle, both, alone)) + 1, 1))
+    if most is not None:
+        count = jnp.minimum(count, jnp.asarray(most, count.dtype))
     share = panel_share(angle, across, normal)
     steps = (count - 1) * angle / 2
     # With a single reflection cos θ' may vanish; it is not needed then.
@@ -97,13 +103,16 @@ def _reflectance(model: Polarization, state: Jones) -> Float[Array, "..."]:
     return sum((power(entry) for entry in state[1:]), start=power(state[0])) / 2
 
 
-def _all_but_last(model: Polarization) -> Any:
+LONGEST_UNROLLED = 4
+"""Reflections up to which a path of known length is one straight piece of arithmetic; longer ones are a loop."""
+
+
+def _all_but_last(model: Polarization, most: int | None) -> Any:
     """The first M - 1 reflections of a path, differentiable in both modes; the loop is as long as needed."""
 
     def run(count: Array, *physical: Array) -> Jones:
         geometry, contrast = physical[:4], physical[4] if len(physical) == 5 else lax.complex(*physical[4:])
         shape = jnp.broadcast_shapes(*(jnp.shape(p) for p in physical))
-        last = jnp.max(count, initial=1)
 
         def body(carry: tuple[Array, Jones]) -> tuple[Array, Jones]:
             ordinal, state = carry
@@ -120,10 +129,15 @@ def _all_but_last(model: Polarization) -> Any:
             kept = tuple(jnp.where(live, new, old) for new, old in zip(following, state, strict=True))
             return ordinal + 1, kept
 
-        start = (jnp.ones((), count.dtype), _initial(model, contrast, shape))
-        return lax.while_loop(lambda carry: carry[0] < last, body, start)[1]
+        carry = (jnp.ones((), count.dtype), _initial(model, contrast, shape))
+        if most is not None:
+            for _ in range(1, most):
+                carry = body(carry)
+            return carry[1]
+        last = jnp.max(count, initial=1)
+        return lax.while_loop(lambda carry: carry[0] < last, body, carry)[1]
 
-    return elementwise_forward(run)
+    return run if most is not None else elementwise_forward(run)
 
 
 def _lit(
@@ -151,9 +165,10 @@ def _side(
     normal: Array,
     contrast: Array,
     trap: Trap | None,
+    most: int | None,
 ) -> Float[Array, "..."]:
     """What the paths that first meet one panel contribute; e_y counts from that panel's side."""
-    count, share, share_fewer = reflection_shares(angle, across, normal)
+    count, share, share_fewer = reflection_shares(angle, across, normal, most)
     if trap is not None:
         share = share * _lit(count, angle, along, across, normal, trap)
         share_fewer = share_fewer * _lit(count - 1, angle, along, across, normal, trap)
@@ -161,7 +176,7 @@ def _side(
     # Reflectances are no holomorphic function of the index, amplitudes are: only the latter stay complex.
     split = model == "unpolarized" and jnp.iscomplexobj(contrast)
     tail = (contrast.real, contrast.imag) if split else (contrast,)
-    fewer = _all_but_last(model)(count, *geometry, *tail)
+    fewer = _all_but_last(model, most)(count, *geometry, *tail)
     seen: Bool[Array, ...] = share > 0
     calm = (
         jnp.where(seen, angle, jnp.ones_like(angle)),
@@ -182,6 +197,7 @@ def hemispherical_directional(
     model: Polarization = "full",
     symmetric: bool = False,
     trap: Trap | None = None,
+    most: int | None = None,
 ) -> Float[Array, "..."]:
     """Hemispherical-directional reflectance, for arguments that broadcast against each other.
 
@@ -194,6 +210,7 @@ def hemispherical_directional(
         model: treatment of polarization, see ``Specular``.
         symmetric: e_y is known to be 0 everywhere, so that one side stands for both. Not with a trap.
         trap: a part of the hemisphere from which no light comes.
+        most: reflections that are known not to be exceeded; None if they are many, or unknown.
 
     Returns:
         Fraction, of the broadcast shape. Without a trap it is continuous everywhere; its gradient jumps where
@@ -202,12 +219,12 @@ def hemispherical_directional(
     """
     contrast = permittivity_contrast(index)
     if symmetric and trap is None:
-        return 2 * _side(model, angle, along, across, normal, contrast, None)
+        return 2 * _side(model, angle, along, across, normal, contrast, None, most)
     rank = max(jnp.ndim(argument) for argument in (angle, along, across, normal, contrast, *(trap or ())))
     sides = jnp.reshape(jnp.asarray([1.0, -1.0], across.dtype), (2, *(1,) * rank))
     if trap is not None:
         trap = trap._replace(across=sides * trap.across)
-    return jnp.sum(_side(model, angle, along, sides * across, normal, contrast, trap), axis=0)
+    return jnp.sum(_side(model, angle, along, sides * across, normal, contrast, trap, most), axis=0)
 
 
 def glint(

@@ -10,6 +10,7 @@ mean over a vanishing visible part stays accurate.
 """
 
 import dataclasses
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -57,14 +58,20 @@ class Contour(NamedTuple):
 SYMBOL_TILT, SYMBOL_END = 0.9, 30.0
 
 
+def multiple_of_four(count: float) -> int:
+    """The next multiple of four: XLA computes others element by element, which takes several times as long."""
+    return 4 * math.ceil(count / 4)
+
+
 @lru_cache(maxsize=64)
 def contour(resolution: Resolution) -> Contour:
     """The contour τ = sinh(x - i tilt)/2 and its Cauchy kernel."""
-    x = np.arange(int(np.ceil(resolution.reach / resolution.step)) + 1) * resolution.step - 1j * resolution.tilt
+    nodes = multiple_of_four(resolution.reach / resolution.step + 1)
+    x = np.arange(nodes) * resolution.step - 1j * resolution.tilt
     tau, weight = np.sinh(x) / 2, resolution.step * np.cosh(x) / 2
     weight[0] /= 2
     end = np.arccosh(max(resolution.extent / (np.cos(resolution.tilt) / 2 * resolution.smallest_angle), 1.1))
-    inner = min(int(np.ceil(end / resolution.step)), len(tau))
+    inner = min(multiple_of_four(end / resolution.step), nodes)
     here, mirrored = -1j / (tau[:, None] + tau), -1j / (tau[:, None] - tau.conj())
     both, difference = here + mirrored, here - mirrored
     cauchy = np.block([[both.real, -difference.imag], [both.imag, difference.real]])

@@ -24,6 +24,10 @@ ILLUMINANTS = (
 # As in `fitting.sampling`, which a test compares.
 SAMPLERS = ("auto", "nested", "emcee", "importance", "nuts")
 
+# As in `fitting.bench.report`, which a test compares.
+PARTS = ("diffusing", "mirrors", "interfaced", "random grooves")
+PEERS = ("mitsuba",)
+
 _DESCRIPTION = """\
 Appearance of V-grooved surfaces: from a measured spectrum to the groove's angle or the roughness, and back.
 Angles are in degrees, wavelengths in nanometers, reflectance factors are fractions."""
@@ -53,6 +57,10 @@ exit status: 0 every target is met; 1 not all of them; 2 bad input
 
 example:
   vcavity design examples/orange_fold.toml"""
+
+_BENCH_EPILOG = """\
+example:
+  vcavity bench --part mirrors --output bench"""
 
 _PLAN_EPILOG = """\
 exit status: 0 everything is identifiable after the planned views; 1 it is not; 2 bad input
@@ -137,6 +145,18 @@ def parser() -> argparse.ArgumentParser:
     designed.add_argument("file", metavar="FILE", help="what is wished (TOML, see docs/design.md)")
     designed.add_argument("--output", metavar="FILE", help="write the design as JSON")
     designed.add_argument("--json", action="store_true", help="print the JSON alone")
+
+    bench = commands.add_parser(
+        "bench",
+        help="speed against error of the models, beside what else one would run",
+        description="Measure compile time, run time, memory and error of every model, and of the thesis's recipe, "
+        "a dense solve and a path tracer beside it. Takes minutes.",
+        epilog=_BENCH_EPILOG,
+    )
+    bench.add_argument("--part", action="append", choices=PARTS, help="only this; may be repeated")
+    bench.add_argument("--full", action="store_true", help="more tolerances and batches, and single precision")
+    bench.add_argument("--peer", action="append", choices=PEERS, default=[], help="run this, too, if installed")
+    bench.add_argument("--output", metavar="DIR", help="write bench.json, bench.md and bench.png there")
 
     materials = commands.add_parser(
         "materials",

@@ -1,8 +1,6 @@
 """The thesis's own recipe for V-grooves, plainly in NumPy: what vcavity replaces, for comparison only.
 
-    python examples/thesis_recipe.py
-
-prints its values beside vcavity's. Diffusing panels: 32 facets per panel and one linear system of 64 unknowns
+Diffusing panels: 32 facets per panel and one linear system of 64 unknowns
 per wavelength [SaintPierre2020, chapter 3]. Mirror-like panels: 100 entry positions across the aperture, each
 followed through all its reflections [chapter 4]. Diffusing panels under an interface: 32 facets per panel, and at
 most one mirror reflection on the way in, between the panels and on the way out [chapter 5]. Errors of print are
@@ -21,7 +19,7 @@ FACETS = 32
 ENTRIES = 100
 
 
-def _unit(direction: Direction) -> Real:
+def unit(direction: Direction) -> Real:
     """Direction (polar, azimuth) as a vector (eq. 3.30); azimuth 0 is across the grooves."""
     polar, azimuth = direction
     return np.array([np.sin(polar) * np.sin(azimuth), np.sin(polar) * np.cos(azimuth), np.cos(polar)])
@@ -46,7 +44,7 @@ def projections(angle: float, y: Real, direction: Direction) -> Real:
 
     The Boolean holds for the center of a facet, and so for the whole of it.
     """
-    _, across, normal = _unit(direction)
+    _, across, normal = unit(direction)
     sine, cosine = np.sin(angle / 2), np.cos(angle / 2)
     cosines = []
     for side in (1, -1):
@@ -55,27 +53,30 @@ def projections(angle: float, y: Real, direction: Direction) -> Real:
     return np.concatenate(cosines)
 
 
-def lambertian(angle: float, reflectance: Real, light: Direction | None, view: Direction) -> Real:
+def lambertian(
+    angle: float, reflectance: Real, light: Direction | None, view: Direction | None, facets: int = FACETS
+) -> Real:
     """Radiance factor of a groove with diffusing panels.
 
     Args:
         angle: dihedral angle.
         reflectance: one per wavelength, shape (L,).
         light: direction of a parallel light; None for diffuse light.
-        view: direction of observation.
+        view: direction of observation; None for all of the hemisphere.
+        facets: on each panel.
 
     Returns:
         Mean over the visible facets, weighted with their projected area, shape (L,).
     """
-    y = (np.arange(FACETS) + 0.5) / FACETS
+    y = (np.arange(facets) + 0.5) / facets
     matrix = facet_matrix(angle, y)
-    if light is None:  # what the other panel leaves of the hemisphere; eq. 3.41 with the panel's own normal
-        received = (1 - (np.cos(angle) - y) / np.sqrt(1 + y**2 - 2 * y * np.cos(angle))) / 2
-        irradiance = np.concatenate([received, received])
-    else:
-        irradiance = projections(angle, y, light) / np.cos(light[0])
-    system = np.eye(2 * FACETS) - (reflectance / np.pi)[:, None, None] * matrix
+    # What the other panel leaves of the hemisphere; eq. 3.41 with the panel's own normal.
+    received = np.tile((1 - (np.cos(angle) - y) / np.sqrt(1 + y**2 - 2 * y * np.cos(angle))) / 2, 2)
+    irradiance = received if light is None else projections(angle, y, light) / np.cos(light[0])
+    system = np.eye(2 * facets) - (reflectance / np.pi)[:, None, None] * matrix
     radiance = reflectance[:, None] * np.linalg.solve(system, irradiance[:, None])[..., 0]
+    if view is None:
+        return radiance @ received / (facets * 2 * np.sin(angle / 2))
     seen = projections(angle, y, view)
     return radiance @ seen / seen.sum()
 
@@ -83,13 +84,14 @@ def lambertian(angle: float, reflectance: Real, light: Direction | None, view: D
 def amplitudes(cosine: Real, index: Complex) -> tuple[Complex, Complex]:
     """r_p and r_s of one reflection (eq. 2.22, 2.23), equal at normal incidence."""
     root = np.sqrt(index**2 - 1 + cosine**2)
-    return (root - index**2 * cosine) / (root + index**2 * cosine), (cosine - root) / (cosine + root)
+    r_p, r_s = (root - index**2 * cosine) / (root + index**2 * cosine), (cosine - root) / (cosine + root)
+    return np.asarray(r_p, complex), np.asarray(r_s, complex)
 
 
-def uniform_entries(angle: float) -> tuple[Real, Real]:
+def uniform_entries(angle: float, count: int = ENTRIES) -> tuple[Real, Real]:
     """Evenly spaced positions across the aperture, and equal weights."""
-    entry = ((np.arange(ENTRIES) + 0.5) / ENTRIES * 2 - 1) * np.sin(angle / 2)
-    return entry, np.full(ENTRIES, 1 / ENTRIES)
+    entry = ((np.arange(count) + 0.5) / count * 2 - 1) * np.sin(angle / 2)
+    return entry, np.full(count, 1 / count)
 
 
 def exact_entries(angle: float, view: Direction) -> tuple[Real, Real]:
@@ -97,7 +99,7 @@ def exact_entries(angle: float, view: Direction) -> tuple[Real, Real]:
 
     The thesis does not do this: with it the recipe is exact, and an independent check of vcavity.
     """
-    e = _unit(view)
+    e = unit(view)
     section = np.arctan2(e[1], e[2])
     gamma = angle * (np.arange(np.ceil(2 * np.pi / angle)) + 0.5)  # where eq. 4.12 jumps, and more
     offsets = np.concatenate([[0], np.sin(gamma - np.pi + section), np.sin(section + np.pi - gamma)])
@@ -121,7 +123,7 @@ def specular(angle: float, index: Complex, view: Direction, entries: tuple[Real,
     Returns:
         Mean over the entry positions, shape (L,).
     """
-    e = _unit(view)
+    e = unit(view)
     section = np.arctan2(e[1], e[2])
     entry, weight = uniform_entries(angle) if entries is None else entries
     offset = entry * np.cos(section) - np.cos(angle / 2) * np.sin(section)
@@ -162,7 +164,7 @@ def internal_reflectance(index: float) -> float:
     """r_i = 1 - t₁₂ / n² of diffuse light (eq. 2.39), which chapter 5 refers to by another number."""
     node, weight = np.polynomial.legendre.leggauss(48)
     s = (node + 1) / 2  # the cosine is s², so that grazing incidence is smooth
-    return 1 - weight @ (2 * s**3 * interface(s**2, index)[1]) / index**2
+    return float(1 - weight @ (2 * s**3 * interface(s**2, index)[1]) / index**2)
 
 
 def interfaced_matrix(angle: float, index: float, y: Real) -> Real:
@@ -190,68 +192,31 @@ def interfaced_matrix(angle: float, index: float, y: Real) -> Real:
     return np.block([[same, across], [across, same]])
 
 
-def interfaced(angle: float, reflectance: Real, index: float) -> Real:
+def interfaced(angle: float, reflectance: Real, index: float, facets: int = FACETS) -> Real:
     """Radiance factor of a groove of diffusing panels under an interface, frontal light and view, no glint.
 
     Args:
         angle: dihedral angle.
         reflectance: intrinsic reflectance ρ, one per wavelength, shape (L,).
         index: refractive index n of the interface.
+        facets: on each panel.
 
     Returns:
         Mean over the facets, shape (L,).
     """
-    y = (np.arange(FACETS) + 0.5) / FACETS
+    y = (np.arange(facets) + 0.5) / facets
     (reflected, entered), (_, second) = (interface(np.sin(np.asarray(a)), index) for a in (angle / 2, 1.5 * angle))
-    irradiance = np.full(2 * FACETS, np.sin(angle / 2) * entered)  # eq. 5.4
-    leaving = entered * np.eye(2 * FACETS)  # eq. 5.18
+    irradiance = np.full(2 * facets, np.sin(angle / 2) * entered)  # eq. 5.4
+    leaving = entered * np.eye(2 * facets)  # eq. 5.18
     if 1.5 * angle < np.pi:
         limit = min(np.sin(angle / 2) / np.sin(1.5 * angle), 1)  # eq. 5.7
         lit = np.sin(1.5 * angle) * reflected * second * (y < limit)  # eq. 5.6, with the angles in the other order
         irradiance += np.concatenate([lit, lit])
-        facet = np.arange(FACETS)
-        behind = (limit * y * FACETS).astype(int)  # eq. 5.20, by the facet that is seen
-        for seen, source in ((facet, FACETS + behind), (FACETS + facet, behind)):
+        facet = np.arange(facets)
+        behind = (limit * y * facets).astype(int)  # eq. 5.20, by the facet that is seen
+        for seen, source in ((facet, facets + behind), (facets + facet, behind)):
             leaving[seen, source] += reflected * second  # eq. 5.19
     ratio = (reflectance / (1 - internal_reflectance(index) * reflectance))[:, None]  # eq. 5.1
-    system = np.eye(2 * FACETS) - ratio[..., None] / np.pi * interfaced_matrix(angle, index, y)
+    system = np.eye(2 * facets) - ratio[..., None] / np.pi * interfaced_matrix(angle, index, y)
     exitance = ratio * np.linalg.solve(system, irradiance[:, None])[..., 0]  # eq. 5.16
     return exitance @ leaving.mean(axis=0) / index**2  # eq. 5.21 and 5.23
-
-
-if __name__ == "__main__":
-    import jax
-
-    import vcavity_jax as vc
-
-    jax.config.update("jax_enable_x64", True)
-    groove = np.deg2rad(45.0)
-    oblique = np.deg2rad(35.0), np.deg2rad(30.0)
-    r, n = np.array([0.5, 0.93]), np.array([0.3239 + 2.5972j, 4.077 + 0.028j])
-
-    def ours(material: vc.scene.Material, light: vc.scene.Illumination, view: Direction) -> Real:
-        return np.asarray(vc.reflectance_factor(vc.Scene(vc.VGrooves(groove), material, light, vc.View(*view))))
-
-    frontal = 0.0, 0.0
-    slanted = np.deg2rad(45.0), 0.0
-    pairs = {
-        "diffusing, diffuse light, frontal view": (
-            lambertian(groove, r, None, frontal),
-            ours(vc.Lambertian(r), vc.Diffuse(), frontal),
-        ),
-        "diffusing, light at 45°, frontal view": (
-            lambertian(groove, r, slanted, frontal),
-            ours(vc.Lambertian(r), vc.Directional(*slanted), frontal),
-        ),
-        "mirrors (gold, silicon at 550 nm), view 35°, 30°": (
-            specular(groove, n, oblique),
-            ours(vc.Specular(n), vc.Diffuse(), oblique),
-        ),
-        "diffusing under an interface of n = 1.5, frontal light and view": (
-            interfaced(groove, r, 1.5),
-            ours(vc.InterfacedLambertian(r, 1.5), vc.Directional(*frontal), frontal),
-        ),
-    }
-    print("groove of 45°: thesis's recipe | vcavity")
-    for name, (thesis, exact) in pairs.items():
-        print(f"{name}: {np.array2string(thesis, precision=6)} | {np.array2string(exact, precision=10)}")
