@@ -6,6 +6,9 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 # Most of the time goes into compiling; what is compiled is the same, only less polished.
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_llvm_disable_expensive_passes=true".strip()
 
+# A command keeps what it compiles for the next one; a test shall leave nothing behind.
+os.environ.setdefault("JAX_ENABLE_COMPILATION_CACHE", "false")
+
 import hypothesis
 import jax
 import jaxtyping

@@ -64,16 +64,22 @@ def footprint(bands: Bands, resolution: Resolution) -> Footprint:
 
 
 def overlap(first: Bands, second: Bands) -> Float[Array, "2"]:
-    """∫ of the product of two sums of bands, over each panel; the first may contain points (length 0)."""
+    """∫ of the product of two sums of bands, over each panel; both may contain points (length 0)."""
     a, b = first.outer[:, None], second.outer
     near = jnp.maximum(a, b)
     ends = a + first.length[:, None], b + second.length
     shared = -jnp.expm1(-jnp.maximum(jnp.minimum(*ends) - near, 0)) * jnp.exp(a + b - near)
     each = shared / (nonzero(first.width)[:, None] * nonzero(second.width))
-    # A point sees the density of the band that it lies in.
-    inside = (a >= b) & (a < ends[1])
-    density = jnp.where(inside, jnp.exp(b), jnp.zeros_like(b)) / nonzero(second.width)
-    each = jnp.where(first.length[:, None] == 0, density, each)
+    # A point sees the density of the band that it lies in. It stands for a narrow band that reaches on towards the
+    # fold, so where another one begins or ends, it lies on that side.
+    nudge = float(jnp.finfo(a.dtype).eps) ** 0.7
+    for band, (begin, end, width), (point, length) in (
+        (b, (b, ends[1], second.width), (a, first.length[:, None])),
+        (a, (a, ends[0], first.width[:, None]), (b, second.length + jnp.zeros_like(a))),
+    ):
+        inside = (point + nudge >= begin) & (point + nudge < end)
+        density = jnp.where(inside, jnp.exp(band), jnp.zeros_like(each)) / nonzero(width)
+        each = jnp.where(length == 0, density, each)
     return jnp.einsum("pa,ab,pb->p", first.by_panel, each, second.by_panel)
 
 

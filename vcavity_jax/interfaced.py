@@ -269,6 +269,9 @@ def bands(
         interface: of the panels.
         hits: how many to follow.
     """
+    # What is narrower than this cannot be told from a point: next to grazing is grazing.
+    least = float(jnp.finfo(normal.dtype).eps) ** 0.7
+    normal = jnp.where(normal < least, jnp.zeros_like(normal), normal)
     paths = followed(angle, along, across, normal, interface, hits)
     section, first, share, sine = paths.section, paths.first, paths.share, paths.sine
     hidden = first > angle

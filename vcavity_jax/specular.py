@@ -60,7 +60,9 @@ def reflection_shares(
         jnp.sin(steps) * jnp.sin(first + steps - jnp.pi / 2) * safe_hypot(across, height),
         jnp.sin(angle / 2) * height,
     )
-    fewer = jnp.where(count > 1, jnp.clip(fewer, 0, share), jnp.zeros_like(fewer))
+    # At a kink the slope is that of one side; a clip would return the mean of both.
+    fewer = jnp.where(fewer >= share, share, fewer)
+    fewer = jnp.where((count > 1) & (fewer > 0), fewer, jnp.zeros_like(fewer))
     return count, share - fewer, fewer
 
 

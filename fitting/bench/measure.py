@@ -134,20 +134,26 @@ class Effort:
 
 FULL = Effort((1e-3, 1e-6, 1e-9, 1e-12), (1, 100, 1000), 2.0, (1e-6, 1e-9), (1e-3, 1e-5))
 
+_MOST_HEAVY = 10
+"""Scenes in a batch of what runs one after the other anyway."""
+
 
 def rows(quantity: Quantity, effort: Effort) -> Iterator[Row]:
     """Ours and its peers, side by side."""
+    batches = effort.batches
+    if quantity.together == 1:
+        batches = tuple(dict.fromkeys(min(batch, _MOST_HEAVY) for batch in batches))
     checked = quantity.geometry(_CHECKED)
     reference = quantity.reference(checked)
     kept = [t for t in quantity.tolerances if t in effort.tolerances or len(quantity.tolerances) == 1]
     for tolerance in kept:
-        for batch in effort.batches:
+        for batch in batches:
             yield _ours(quantity, tolerance, batch, effort, checked, reference, "float64")
     for tolerance in effort.single:
         if len(quantity.tolerances) > 1:
-            yield _ours(quantity, tolerance, max(effort.batches), effort, checked, reference, "float32")
+            yield _ours(quantity, tolerance, max(batches), effort, checked, reference, "float32")
     for tolerance in effort.gradients if quantity.gradient else ():
-        yield _gradient(quantity, tolerance, max(effort.batches), effort, checked)
+        yield _gradient(quantity, tolerance, max(batches), effort, checked)
         if len(quantity.tolerances) == 1:
             break
     for peer in quantity.peers:

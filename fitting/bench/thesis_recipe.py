@@ -140,7 +140,10 @@ def specular(angle: float, index: Complex, view: Direction, entries: tuple[Real,
             [np.zeros(live.sum()), side[live] * np.cos(image), np.full(live.sum(), np.sin(image))], axis=-1
         )
         plane = np.cross(e, normal)  # eq. 4.24
-        plane /= np.linalg.norm(plane, axis=-1, keepdims=True)
+        size = np.linalg.norm(plane, axis=-1, keepdims=True)
+        plane = np.where(
+            size > 0, plane / np.where(size > 0, size, 1), [1.0, 0.0, 0.0]
+        )  # At normal incidence any.
         state = jones[live]
         if j > 1:  # eq. 4.17 with the sign of the angle, which eq. 4.25 loses
             cosine = np.sum(previous[live] * plane, axis=-1)[:, None, None]

@@ -52,8 +52,24 @@ def _run(argv: Sequence[str] | None) -> int:
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    _remember_programs()
     # Only the command that runs is imported.
     return int(importlib.import_module(f"fitting.cli.{given.command}").run(given))
+
+
+def _remember_programs() -> None:
+    """Keep what is compiled for the next call, unless the user has chosen a place or none."""
+    import jax
+
+    chosen = getattr(jax.config, "jax_compilation_cache_dir", None)
+    if chosen or not getattr(jax.config, "jax_enable_compilation_cache", True):
+        return
+    folder = os.path.join(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "vcavity")
+    with suppress(OSError):
+        os.makedirs(folder, exist_ok=True)
+        if os.access(folder, os.W_OK):
+            jax.config.update("jax_compilation_cache_dir", folder)
+            jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
 def _leave_pipe() -> None:
