@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 import vcavity_jax as vc
+from vcavity_jax import lambertian
+from vcavity_jax.resolution import mean_resolution
 
 TRUTH = json.loads((Path(__file__).parents[1] / "data" / "lambertian.json").read_text())
 REFLECTANCES = np.array([0.05, 0.2, 0.5, 0.8, 0.93, 0.99, 0.999, 1.0])
@@ -298,3 +300,16 @@ def test_fold_threshold() -> None:
         scene = vc.Scene(vc.VGrooves(np.radians(degrees)), vc.Lambertian(r), vc.Directional(), vc.View())
         # Closed form of the fold: two divisions.
         np.testing.assert_allclose(vc.radiance_profile(scene, 0.0), r, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("degrees", [0.1, 1.0, 4.5, 14.0, 40.0])
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-10, 1e-13])
+def test_the_series_of_the_symbol_is_its_integral(degrees: float, tolerance: float) -> None:
+    """Down to the angle it is made for; exactly nothing is exchanged on a flat surface."""
+    resolution = mean_resolution(tolerance, np.radians(degrees))
+    x = np.arange(len(lambertian._mean_table(resolution).weight)) * resolution.step
+    angles = np.exp(np.random.default_rng(3).uniform(np.log(np.radians(degrees)), np.log(np.pi), 50))
+    exact = lambertian._symbol(angles, np.sinh(x) / 2, resolution.smallest_angle)
+    series = jax.vmap(lambda angle: lambertian.log_symbol(angle, resolution)[0][:, 0])(jnp.asarray(angles))
+    assert np.abs(np.exp(series) / exact - 1).max() < max(tolerance / 20, 1e-12 if degrees < 1 else 2e-13)
+    assert not np.any(np.abs(lambertian.log_symbol(jnp.asarray(np.pi), resolution)[0]) > 1e-13)
