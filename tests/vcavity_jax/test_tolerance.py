@@ -185,3 +185,50 @@ def test_random_grooves(m: float) -> None:
     for tolerance in TOLERANCES:
         error = np.max(np.abs(np.asarray(vc.reflectance_factor(scene, tolerance)) - exact))
         assert error < tolerance, tolerance
+
+
+# -- many scenes at once ---------------------------------------------------------------------------
+
+BATCH = {
+    "open, diffuse light": (vc.Lambertian, vc.Diffuse(), "front"),
+    "open, frontal light": (vc.Lambertian, vc.Directional(), "front"),
+    "light and view anywhere": (vc.Lambertian, None, "anywhere"),
+    "bi-hemispherical": (vc.Lambertian, vc.Diffuse(), "hemisphere"),
+    "interfaced, diffuse light": (vc.InterfacedLambertian, vc.Diffuse(), "front"),
+    "interfaced, frontal light": (vc.InterfacedLambertian, vc.Directional(), "front"),
+}
+"""Material, light (None: from a random direction) and view."""
+
+
+@pytest.mark.parametrize(
+    "size", [pytest.param(256, id="sample"), pytest.param(20_000, id="20 000", marks=pytest.mark.slow)]
+)
+@pytest.mark.parametrize("kind", BATCH)
+def test_the_promise_over_many_scenes(kind: str, size: int) -> None:
+    """Angles of 14° and more, planned as unknown; half of them the narrowest, or π/k."""
+    material, light, view = BATCH[kind]
+    smallest = float(np.radians(14))
+    random = np.random.default_rng(20)
+    angle = np.where(
+        random.uniform(size=size) < 0.5,
+        random.uniform(smallest, np.pi, size),
+        random.choice([smallest, *(np.pi / k for k in range(1, 13))], size),
+    )
+    directions = random_directions(random, size), random_directions(random, size)
+
+    def factor(tolerance: float) -> Any:
+        def one(row: Any) -> Any:
+            angle, theta, phi, polar, azimuth = row
+            source: Any = vc.Directional(theta, phi) if light is None else light
+            seen: Any = vc.View() if view == "front" else vc.View(polar, azimuth)
+            panels = material(REFLECTANCES) if material is vc.Lambertian else material(REFLECTANCES, 1.5)
+            scene = vc.Scene(vc.VGrooves(angle), panels, source, vc.Hemisphere() if view == "hemisphere" else seen)
+            return vc.reflectance_factor(scene, tolerance, smallest_angle=smallest)
+
+        rows = np.stack([angle, *directions[0], *directions[1]], axis=1)
+        return np.asarray(jax.jit(lambda rows: jax.lax.map(one, rows, batch_size=64))(jnp.asarray(rows)))
+
+    exact = factor(1e-12)
+    for tolerance in TOLERANCES:
+        worst = np.abs(factor(tolerance) - exact).max(axis=1)
+        assert worst.max() < tolerance, (tolerance, float(worst.max()), np.degrees(angle[worst.argmax()]))
