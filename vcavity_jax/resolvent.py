@@ -165,7 +165,9 @@ def of_unlike_panels(
     line = (weight[:inner] / (2 * jnp.pi * (0.25 + tau[:inner] ** 2)))[:, None]
     return Resolvent(
         edge=_each(lambda entry, on_diagonal: scaled * (entry - on_diagonal), _entries(plus)),
-        whole=_each(lambda entry, on_diagonal: line * (entry - on_diagonal), _inverse(symbol)),
+        whole=_each(
+            lambda entry, one: wiener_hopf.within_extent(line * (entry - one), angle, resolution), _inverse(symbol)
+        ),
         rim=_entries(rim),
         root=root,
         angle=angle,

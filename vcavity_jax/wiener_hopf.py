@@ -78,6 +78,15 @@ def contour(resolution: Resolution) -> Contour:
     return Contour(tau, weight, inner, cauchy)
 
 
+def within_extent(values: Complex[Array, "inner kappa"], angle: Float[Array, ""], resolution: Resolution) -> Array:
+    """What is proportional to the symbol at the inner nodes, and 0 where nothing is left of it but rounding.
+
+    A contour made for narrower grooves reaches on, and what is summed with it grows along the contour.
+    """
+    far = angle * constant(contour(resolution).tau.real, angle)[: len(values)] > resolution.extent
+    return jnp.where(far[:, None], jnp.zeros_like(values), values)
+
+
 def complex_expm1(x: Float[Array, "..."], y: Float[Array, "..."]) -> Complex[Array, "..."]:
     """exp(x + iy) - 1 without cancellation."""
     growth, sine, cosine = jnp.expm1(x), jnp.sin(y / 2), jnp.cos(y / 2)
@@ -135,7 +144,8 @@ def factorize_symbol(
     exponent = over_both_halves(grid, weighted) / (2 * jnp.pi)
     exponent = exponent.at[: grid.inner].add(-logarithm)
     edge = (weight / (2 * jnp.pi * (0.5 + 1j * tau)))[:, None] * complex_expm1(exponent.real, exponent.imag)
-    whole = (inner_weight / (2 * jnp.pi * (0.25 + inner_tau * inner_tau)))[:, None] * (1 - factor) / factor
+    symbol = within_extent(1 - factor, angle, resolution)
+    whole = (inner_weight / (2 * jnp.pi * (0.25 + inner_tau * inner_tau)))[:, None] * symbol / factor
     return Factorization(rim * rim, rim, edge, whole, angle)
 
 
