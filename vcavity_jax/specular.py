@@ -60,9 +60,8 @@ def reflection_shares(
         jnp.sin(steps) * jnp.sin(first + steps - jnp.pi / 2) * safe_hypot(across, height),
         jnp.sin(angle / 2) * height,
     )
-    # At a kink the slope is that of one side; a clip would return the mean of both.
-    fewer = jnp.where(fewer >= share, share, fewer)
-    fewer = jnp.where((count > 1) & (fewer > 0), fewer, jnp.zeros_like(fewer))
+    # Exactly at a kink the slope of the clip is the mean of both sides.
+    fewer = jnp.where(count > 1, jnp.clip(fewer, 0, share), jnp.zeros_like(fewer))
     return count, share - fewer, fewer
 
 
@@ -216,8 +215,8 @@ def hemispherical_directional(
 
     Returns:
         Fraction, of the broadcast shape. Without a trap it is continuous everywhere; its gradient jumps where
-        a number of reflections changes, and there the gradient of one side is returned. With a trap it jumps
-        itself where a path turns into the trap.
+        a number of reflections changes, and there that of one side is returned, or the mean of both. With a trap
+        it jumps itself where a path turns into the trap.
     """
     contrast = permittivity_contrast(index)
     if symmetric and trap is None:
