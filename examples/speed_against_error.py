@@ -31,7 +31,7 @@ from jaxtyping import Array
 
 import vcavity_jax as vc
 from fitting.bench import thesis_recipe
-from fitting.bench.measure import describe_machine
+from fitting.bench.measure import ROUNDING, compiled, describe_machine, median_time
 
 FRONTAL = 0.0, 0.0
 SLANTED = np.deg2rad(45.0), 0.0
@@ -46,8 +46,7 @@ GOLD = np.interp(WAVELENGTHS, KNOTS, (1.6, 1.3, 0.34, 0.22, 0.15)) + 1j * np.int
 SMALLEST_ANGLE, LARGEST_ANGLE = np.deg2rad(20.0), np.deg2rad(170.0)
 
 TOLERANCE_OF_REFERENCE = 1e-13
-ROUNDING = float(np.finfo(float).eps)
-"""No reference is better than this: a smaller difference counts as this one."""
+
 
 FORWARD = "spectrum by angle (forward)"
 REVERSE = "misfit by angle (reverse)"
@@ -139,24 +138,6 @@ class GradientRow:
     value_us: float
     time_us: float
     ratio: float
-
-
-def median_time(run: Callable[[], Any], seconds: float, most: int = 15) -> float:
-    """Median duration of at least three calls, and more while there is time."""
-    start = time.perf_counter()
-    times: list[float] = []
-    while len(times) < 3 or (len(times) < most and time.perf_counter() - start < seconds):
-        before = time.perf_counter()
-        jax.block_until_ready(run())
-        times.append(time.perf_counter() - before)
-    return statistics.median(times)
-
-
-def compiled(function: Callable[..., Any], *arguments: Array) -> tuple[Callable[..., Any], float]:
-    """The program for arguments of these shapes, and the seconds that tracing and compiling it took."""
-    before = time.perf_counter()
-    program = jax.jit(function).lower(*arguments).compile()
-    return program, time.perf_counter() - before
 
 
 def over_scenes(function: Callable[[Array], Any], count: int, chunk: int) -> Callable[[Array], Any]:

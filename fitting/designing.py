@@ -20,7 +20,7 @@ from scipy.stats import qmc  # type: ignore[import-untyped]
 
 from fitting import files
 from fitting.layout import Data, Layout
-from fitting.looks import color_weights, factors_of, seen_from
+from fitting.looks import color_weights, factors_of, finite_bounds, seen_from
 from fitting.problem import Problem
 from fitting.programs import Kept
 from fitting.result import plain
@@ -426,11 +426,7 @@ def _setting(problem: Problem, wishes: tuple[Target, ...], looks: list[Look], gr
 
 def _bounds(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """Of all unknowns: numbers in natural coordinates, then free spectra."""
-    low, high = np.asarray(problem.data.bounds, np.float64)
-    finite = np.isfinite(low) & np.isfinite(high)
-    if not finite.all():
-        name = problem.numbers[int(np.argmin(finite))].name
-        raise ValueError(f"parameter {name!r} has no finite range; expected bounds")
+    low, high = finite_bounds(problem)
     spectral = np.asarray(problem.data.spectral_bounds, np.float64)
     blocks = problem.layout.blocks
     bottom, top = (

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from fitting import files
 from fitting import free as ready
 from fitting.layout import Data, Layout
-from fitting.looks import Places, color_weights, factors_of, seen_from
+from fitting.looks import Places, color_weights, factors_of, finite_bounds, seen_from
 from fitting.parameters import Parameter
 from fitting.programs import Kept
 from fitting.solve import warn_of_float32
@@ -128,9 +128,7 @@ def reachable_colors(
     grid = np.asarray(wavelengths_nm, np.float64)
     weights, whites = color_weights(views, grid)
     problem, places = seen_from(scene, [varied], views, grid, tolerance)
-    (low,), (high,) = np.asarray(problem.data.bounds, np.float64)
-    if not (np.isfinite(low) and np.isfinite(high)):
-        raise ValueError(f"parameter {varied.name!r} has no finite range; expected bounds")
+    (low,), (high,) = finite_bounds(problem)
     natural = np.linspace(low, high, count)
     layout = problem.layout
     compiled = _KEPT.get((layout.key, places), lambda: jax.jit(partial(_all_factors, layout, places)))

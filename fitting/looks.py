@@ -57,6 +57,20 @@ def seen_from(
     return build(scenes, measurements, free, None, tolerance, enough=False), tuple(places)
 
 
+def finite_bounds(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Of the numbers, in natural coordinates.
+
+    Raises:
+        ValueError: a number has none.
+    """
+    low, high = np.asarray(problem.data.bounds, np.float64)
+    finite = np.isfinite(low) & np.isfinite(high)
+    if not finite.all():
+        name = problem.numbers[int(np.argmin(finite))].name
+        raise ValueError(f"parameter {name!r} has no finite range; expected bounds")
+    return low, high
+
+
 def factors_of(layout: Layout, places: Places, x: Float[Array, " n"], data: Data) -> Float[Array, "k l"]:
     """Reflectance factors of each look, of numbers in natural coordinates and then free spectra."""
     count = x.shape[0] - layout.free_spectra * layout.blocks

@@ -1,21 +1,14 @@
 """PF5-1: a groove of 45° of diffusing material under an interface, along the panels and from afar."""
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 from common import FRONTAL, POSITIONS, WAVELENGTHS_NM, Claim, Plate, Real, along, draw_strip, ink, seen, sheet
 from matplotlib.figure import Figure
-from scipy.optimize import brentq
+from thesis_chapter5 import LIMIT, MEANINGS, flat, grooved, threshold
 
 import vcavity_jax as vc
-from vcavity_jax import fresnel
 
 ANGLE_DEG = 45
 INDICES = (1.5, 1.33, 1.0)
-LIMIT = float(np.sin(np.radians(22.5)) / np.sin(np.radians(67.5)))
-"""Nearer to the fold than this, 0.414, a panel also receives light that the other one reflects (eq. 5.7)."""
-
 RAMP = np.linspace(0, 1, WAVELENGTHS_NM.size)
 
 
@@ -24,32 +17,13 @@ def material(reflectance: Real, index: float) -> vc.InterfacedLambertian:
     return vc.InterfacedLambertian(reflectance, index, specular_included=False)
 
 
-def flat(reflectance: Real, index: float) -> Real:
-    """Reflectance factor of the flat sample, frontally lit and seen (eq. 2.44)."""
-    normal = 4 * index / (1 + index) ** 2
-    internal = 1 - float(fresnel.diffuse_transmittance(np.asarray(index))) / index**2
-    return (normal / index) ** 2 * reflectance / (1 - internal * reflectance)
-
-
-def thresholds(index: float) -> tuple[float, float]:
-    """Intrinsic reflectance from which the groove outshines the flat sample, and that reflectance itself."""
-
-    def crossing(other: Callable[[float, float], Any]) -> float:
-        def excess(value: float) -> float:
-            scene = vc.Scene(vc.VGrooves(np.radians(45.0)), material(np.asarray(value), index), FRONTAL, vc.View())
-            return float(vc.reflectance_factor(scene, 1e-10)) - float(other(value, index))
-
-        return float(brentq(excess, 0.8, 0.9999, xtol=1e-9))
-
-    return crossing(flat), crossing(lambda value, _: value)
-
-
 def make() -> tuple[Figure, list[Claim]]:
     """Columns: indices; rows: against the reflectance, spectra of magenta, the band of color."""
     magenta = ink("magenta")
     figure = sheet(7.2, 5.6)
     rows = figure.subplots(3, 3, height_ratios=(4, 4, 1), sharey="row")
-    crossings = {index: thresholds(index) for index in INDICES}
+    intrinsic = MEANINGS["intrinsic reflectance"]
+    crossings = {n: (threshold(grooved, flat, n), threshold(grooved, intrinsic, n)) for n in INDICES}
     means: dict[float, Real] = {}
     jump = {}
     limit = int(np.searchsorted(POSITIONS, LIMIT))

@@ -1,12 +1,10 @@
 """PF5-2: the colors along a magenta groove of 45° by the index of its interface."""
 
-import numpy as np
 from common import (
     FRONTAL,
     POSITIONS,
     Claim,
     Plate,
-    Real,
     along,
     chroma,
     difference,
@@ -17,17 +15,8 @@ from common import (
     sheet,
 )
 from matplotlib.figure import Figure
-from pf5_01 import ANGLE_DEG, INDICES, LIMIT, flat, material
-
-
-def intrinsic(factor: Real, index: float) -> Real:
-    """Intrinsic reflectance of a flat sample of this reflectance factor."""
-    one = float(flat(np.ones(1), index)[0])
-    # Flat: c ρ / (1 - r ρ), with c = (1 - r) times its value at ρ = 1.
-    half = float(flat(np.full(1, 0.5), index)[0])
-    internal = (2 * half - one) / (half - one)
-    passed = one * (1 - internal)
-    return factor / (passed + internal * factor)
+from pf5_01 import ANGLE_DEG, INDICES, LIMIT, material
+from thesis_chapter5 import intrinsic
 
 
 def make() -> tuple[Figure, list[Claim]]:

@@ -239,6 +239,27 @@ def mirror_claims(in_order: Real, random: Real) -> list[Claim]:
     ]
 
 
+def colored_metal(metal: str) -> Callable[[Real, Real], list[Claim]]:
+    """What it says of copper and of gold."""
+
+    def claims(in_order: Real, random: Real) -> list[Claim]:
+        hue, color = hue_deg(lab(in_order)), chroma(lab(random))
+        return [
+            Claim(
+                f"the hue of {metal} remains unchanged",
+                f"{hue.min():.1f}° to {hue.max():.1f}°",
+                float(np.ptp(hue)) < 5,
+            ),
+            Claim(
+                "roughness raises its chroma",
+                f"C* {color[0]:.1f} at m = 0.05, {color[-1]:.1f} at m = 2",
+                bool(color[-1] > color[0]),
+            ),
+        ]
+
+    return claims
+
+
 def metal_plate(
     name: str, index: str, title: str, thesis: tuple[float, ...], claims: Callable[[Real, Real], list[Claim]]
 ) -> Plate:

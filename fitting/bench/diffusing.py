@@ -68,9 +68,11 @@ def _nystrom(diffuse: bool) -> tuple[Peer, ...]:
     return tuple(Peer(f"dense Nyström, {n} nodes", with_nodes(n)) for n in (16, 64))
 
 
-def _traced(view: Direction | None) -> Peer:
+def traced(view: Direction | None, index: float = 1.0) -> Peer:
+    """The path tracer, with an interface of this index."""
+
     def run(angle: float) -> Real:
-        return path_tracer.diffusing(angle, REFLECTANCES, view, PATHS, np.random.default_rng(0))
+        return path_tracer.diffusing(angle, REFLECTANCES, view, PATHS, np.random.default_rng(0), index)
 
     return Peer(f"path tracer, {PATHS} paths", run, random=True)
 
@@ -82,7 +84,7 @@ QUANTITIES = (
         scene(None, FRONTAL),
         REFLECTANCES,
         angles,
-        (*_recipe(None, FRONTAL), *_nystrom(True), _traced(FRONTAL)),
+        (*_recipe(None, FRONTAL), *_nystrom(True), traced(FRONTAL)),
     ),
     Quantity(
         "diffusing",
@@ -106,7 +108,7 @@ QUANTITIES = (
         scene(None, None),
         REFLECTANCES,
         angles,
-        (*_recipe(None, None), _traced(None)),
+        (*_recipe(None, None), traced(None)),
     ),
 )
 

@@ -3,14 +3,12 @@
 from functools import partial
 from typing import Any
 
-import numpy as np
 from jaxtyping import Array
 
 import vcavity_jax as vc
-from fitting.bench import path_tracer, thesis_recipe
+from fitting.bench import thesis_recipe
 from fitting.bench.diffusing import (
     FRONTAL,
-    PATHS,
     REFLECTANCES,
     SHADOWED,
     SLANTED,
@@ -18,6 +16,7 @@ from fitting.bench.diffusing import (
     Direction,
     angles,
     made,
+    traced,
 )
 from fitting.bench.measure import Peer, Quantity, Real, Spectrum
 
@@ -33,13 +32,6 @@ def _ours(tolerance: float, light: Direction | None, view: Direction | None) -> 
     return spectrum
 
 
-def _traced(view: Direction | None) -> Peer:
-    def run(angle: float) -> Real:
-        return path_tracer.diffusing(angle, REFLECTANCES, view, PATHS, np.random.default_rng(0), INDEX)
-
-    return Peer(f"path tracer, {PATHS} paths", run, random=True)
-
-
 def _facets(angle: float, facets: int) -> Real:
     return thesis_recipe.interfaced(angle, REFLECTANCES, INDEX, facets)
 
@@ -53,7 +45,7 @@ QUANTITIES = (
         partial(_ours, light=None, view=FRONTAL),
         REFLECTANCES,
         angles,
-        (_traced(FRONTAL),),
+        (traced(FRONTAL, INDEX),),
         finest=1e-12,
     ),
     Quantity(
@@ -80,7 +72,7 @@ QUANTITIES = (
         partial(_ours, light=None, view=None),
         REFLECTANCES,
         angles,
-        (_traced(None),),
+        (traced(None, INDEX),),
         tolerances=(1e-3, 1e-6, 1e-9),
         finest=1e-10,
         together=1,

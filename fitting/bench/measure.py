@@ -69,6 +69,11 @@ class Quantity:
     gradient: bool = True
     together: int = 64
 
+    @property
+    def exact_sum(self) -> bool:
+        """A sum that has nothing to choose: every tolerance gives the same."""
+        return len(self.tolerances) == 1
+
     def reference(self, values: Real) -> Real:
         """To compare with, shape (values, L)."""
         if self.exact is not None:
@@ -145,16 +150,16 @@ def rows(quantity: Quantity, effort: Effort) -> Iterator[Row]:
         batches = tuple(dict.fromkeys(min(batch, _MOST_HEAVY) for batch in batches))
     checked = quantity.geometry(_CHECKED)
     reference = quantity.reference(checked)
-    kept = [t for t in quantity.tolerances if t in effort.tolerances or len(quantity.tolerances) == 1]
+    kept = [t for t in quantity.tolerances if t in effort.tolerances or quantity.exact_sum]
     for tolerance in kept:
         for batch in batches:
             yield _ours(quantity, tolerance, batch, effort, checked, reference, "float64")
     for tolerance in effort.single:
-        if len(quantity.tolerances) > 1:
+        if not quantity.exact_sum:
             yield _ours(quantity, tolerance, max(batches), effort, checked, reference, "float32")
     for tolerance in effort.gradients if quantity.gradient else ():
         yield _gradient(quantity, tolerance, max(batches), effort, checked)
-        if len(quantity.tolerances) == 1:
+        if quantity.exact_sum:
             break
     for peer in quantity.peers:
         yield _peer(quantity, peer, checked, reference)
@@ -169,14 +174,14 @@ def _ours(
     reference: Real,
     precision: str,
 ) -> Row:
-    exact = len(quantity.tolerances) == 1
+    exact = quantity.exact_sum
     with jax.enable_x64(precision == "float64"):
         optical = jnp.asarray(quantity.optical)
         spectrum = quantity.ours(tolerance)
         function = _batched(lambda value: spectrum(value, optical), batch, quantity.together)
         values = jnp.asarray(np.resize(checked, batch))
-        program, compile_s = _compiled(function, values)
-        seconds = _median_time(lambda: program(values), effort.seconds) / batch
+        program, compile_s = compiled(function, values)
+        seconds = median_time(lambda: program(values), effort.seconds, 50) / batch
         padded = np.resize(checked, (-(-len(checked) // batch), batch))
         parts = [np.asarray(program(jnp.asarray(part)), np.float64) for part in padded]
         found = np.concatenate(parts)[: len(checked)]
@@ -202,7 +207,7 @@ def _ours(
 
 def _gradient(quantity: Quantity, tolerance: float, batch: int, effort: Effort, checked: Real) -> Row:
     """A misfit with its derivatives by geometry and optical data; their error against Richardson differences."""
-    exact = len(quantity.tolerances) == 1
+    exact = quantity.exact_sum
     complex_valued = np.iscomplexobj(quantity.optical)
     data = quantity.optical
     parts = tuple(jnp.asarray(p) for p in ((data.real, data.imag) if complex_valued else (data,)))
@@ -216,17 +221,18 @@ def _gradient(quantity: Quantity, tolerance: float, batch: int, effort: Effort, 
         return jax.value_and_grad(misfit, argnums=(0, 1))(value, parts)
 
     values = jnp.asarray(np.resize(checked, batch))
-    program, compile_s = _compiled(_batched(both, batch, quantity.together), values)
-    seconds = _median_time(lambda: program(values), effort.seconds) / batch
+    program, compile_s = compiled(_batched(both, batch, quantity.together), values)
+    seconds = median_time(lambda: program(values), effort.seconds, 50) / batch
     few = checked[: min(10, batch)]
     fine, optical = quantity.ours(quantity.finest), jnp.asarray(data)
     plain = jax.jit(lambda these: jax.lax.map(lambda x: jnp.sum((fine(x, optical) - 0.5) ** 2), these))
     h = 1e-4 * few
     near, far = ((plain(jnp.asarray(few + k * h)) - plain(jnp.asarray(few - k * h))) / (2 * k * h) for k in (1, 2))
     slopes = np.asarray((4 * near - far) / 3)
-    found = np.asarray(program(values)[1][0])[: len(few)]
+    both_found = program(values)
+    found = np.asarray(both_found[1][0])[: len(few)]
     errors = np.abs(found - slopes) / (1 + np.abs(slopes))
-    finite = all(bool(np.isfinite(np.asarray(leaf)).all()) for leaf in jax.tree.leaves(program(values)))
+    finite = all(bool(np.isfinite(np.asarray(leaf)).all()) for leaf in jax.tree.leaves(both_found))
     return Row(
         quantity.part,
         quantity.name,
@@ -281,17 +287,18 @@ def _batched(function: Callable[[Array], Any], batch: int, together: int) -> Cal
     return lambda values: jax.lax.map(function, values, batch_size=min(batch, together))
 
 
-def _compiled(function: Callable[..., Any], *arguments: Array) -> tuple[Any, float]:
+def compiled(function: Callable[..., Any], *arguments: Array) -> tuple[Any, float]:
+    """The program for arguments of these shapes, and the seconds that tracing and compiling it took."""
     start = time.perf_counter()
     program = jax.jit(function).lower(*arguments).compile()
     return program, time.perf_counter() - start
 
 
-def _median_time(run: Callable[[], Any], seconds: float) -> float:
-    """Of at least three calls, and more while there is time."""
+def median_time(run: Callable[[], Any], seconds: float, most: int = 15) -> float:
+    """Median duration of at least three calls, and more while there is time."""
     start = time.perf_counter()
     times: list[float] = []
-    while len(times) < 3 or (len(times) < 50 and time.perf_counter() - start < seconds):
+    while len(times) < 3 or (len(times) < most and time.perf_counter() - start < seconds):
         before = time.perf_counter()
         jax.block_until_ready(run())
         times.append(time.perf_counter() - before)

@@ -7,14 +7,14 @@ from jaxtyping import Array
 
 import vcavity_jax as vc
 from fitting.bench import path_tracer, thesis_recipe
-from fitting.bench.diffusing import PATHS, SMALLEST, Direction, angles, made
+from fitting.bench.diffusing import FRONTAL, PATHS, SMALLEST, Direction, angles, made
 from fitting.bench.measure import Peer, Quantity, Real, Spectrum
 
 _KNOTS = (380, 480, 550, 600, 730)
-_NM = np.linspace(380, 730, 36)
+WAVELENGTHS_NM = np.linspace(380, 730, 36)
 _N, _K = (1.6, 1.3, 0.34, 0.22, 0.15), (1.9, 1.8, 2.6, 3.1, 4.2)
-GOLD = np.interp(_NM, _KNOTS, _N) + 1j * np.interp(_NM, _KNOTS, _K)
-FRONTAL, OBLIQUE = (0.0, 0.0), (float(np.radians(35.0)), float(np.radians(30.0)))
+GOLD = np.interp(WAVELENGTHS_NM, _KNOTS, _N) + 1j * np.interp(WAVELENGTHS_NM, _KNOTS, _K)
+OBLIQUE: Direction = (float(np.radians(35.0)), float(np.radians(30.0)))
 
 
 def _ours(tolerance: float, view: Direction | None) -> Spectrum:

@@ -56,53 +56,23 @@ def _traced(mirror: bool, view: Direction | None) -> Peer:
     return Peer(f"path tracer, {count} paths", run, random=True)
 
 
+_quantity = partial(
+    Quantity, "random grooves", geometry=roughnesses, tolerances=(1e-3, 1e-6), finest=1e-8, gradient=False
+)
+
+
+def _averaged(name: str, mirror: bool, view: Direction | None) -> Quantity:
+    """An average over angles: a scene is work enough for one call."""
+    optical = GOLD if mirror else REFLECTANCES
+    ours = partial(_ours, mirror=mirror, view=view)
+    return _quantity(name=name, ours=ours, optical=optical, peers=(_traced(mirror, view),), together=1)
+
+
 QUANTITIES = (
-    Quantity(
-        "random grooves",
-        "matte, diffuse light, frontal view",
-        partial(_ours, mirror=False, view=FRONTAL),
-        REFLECTANCES,
-        roughnesses,
-        (_traced(False, FRONTAL),),
-        tolerances=(1e-3, 1e-6),
-        finest=1e-8,
-        together=1,
-        gradient=False,
-    ),
-    Quantity(
-        "random grooves",
-        "gold, diffuse light, oblique view",
-        partial(_ours, mirror=True, view=OBLIQUE),
-        GOLD,
-        roughnesses,
-        (_traced(True, OBLIQUE),),
-        tolerances=(1e-3, 1e-6),
-        finest=1e-8,
-        together=1,
-        gradient=False,
-    ),
-    Quantity(
-        "random grooves",
-        "gold, bi-hemispherical",
-        partial(_ours, mirror=True, view=None),
-        GOLD,
-        roughnesses,
-        (_traced(True, None),),
-        tolerances=(1e-3, 1e-6),
-        finest=1e-8,
-        together=1,
-        gradient=False,
-    ),
-    Quantity(
-        "random grooves",
-        "gold, bi-hemispherical, from a table",
-        _tabulated,
-        GOLD,
-        roughnesses,
-        tolerances=(1e-3, 1e-6),
-        finest=1e-8,
-        gradient=False,
-    ),
+    _averaged("matte, diffuse light, frontal view", False, FRONTAL),
+    _averaged("gold, diffuse light, oblique view", True, OBLIQUE),
+    _averaged("gold, bi-hemispherical", True, None),
+    _quantity(name="gold, bi-hemispherical, from a table", ours=_tabulated, optical=GOLD),
 )
 
 if __name__ == "__main__":

@@ -24,8 +24,6 @@ PARTS = {
 }
 """Names, and the modules that hold the quantities."""
 
-_MARKS = "sD^vP<X>"
-
 
 def quantities(parts: Iterable[str]) -> list[Quantity]:
     """Of some parts."""
