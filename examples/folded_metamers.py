@@ -32,6 +32,7 @@ from vcavity_jax import colorimetry  # noqa: E402
 Real = np.ndarray
 DATA = Path(__file__).parent / "data"
 LOWEST, HIGHEST = 0.02, 0.95
+STARTS = 8
 MOST_CURVATURE = 0.04
 """Largest second difference of reflectances 10 nm apart: what steep inks have."""
 
@@ -71,25 +72,30 @@ def metamer(
         found = lab(folded(other, angle_deg, light), wavelengths_nm, illuminant)
         return -jnp.sum(colorimetry.components_2000(known, found) ** 2)
 
-    # The smoothest one of that color is where the search begins.
-    begun = lsq_linear(
+    # The search begins at the smoothest one of that color and beside it, since there are several maxima.
+    smoothest = lsq_linear(
         np.concatenate([curvature, 1e3 * weights]),
         np.concatenate([np.zeros(len(curvature)), 1e3 * color]),
         bounds=(LOWEST, HIGHEST),
     ).x
-    end = minimize(
-        lambda x: tuple(np.asarray(part, np.float64) for part in likeness(x)),
-        begun,
-        jac=True,
-        method="SLSQP",
-        bounds=[(LOWEST, HIGHEST)] * reflectance.size,
-        constraints=[
-            LinearConstraint(weights, color, color),
-            LinearConstraint(curvature, -MOST_CURVATURE, MOST_CURVATURE),
-        ],
-        options={"maxiter": 300, "ftol": 1e-8},
-    )
-    return np.asarray(end.x)
+    random = np.random.default_rng(0)
+    begun = [smoothest, *(smoothest + 0.1 * random.normal(size=(STARTS - 1, reflectance.size)))]
+    ends = [
+        minimize(
+            lambda x: tuple(np.asarray(part, np.float64) for part in likeness(x)),
+            start.clip(LOWEST, HIGHEST),
+            jac=True,
+            method="SLSQP",
+            bounds=[(LOWEST, HIGHEST)] * reflectance.size,
+            constraints=[
+                LinearConstraint(weights, color, color),
+                LinearConstraint(curvature, -MOST_CURVATURE, MOST_CURVATURE),
+            ],
+            options={"maxiter": 300, "ftol": 1e-8},
+        )
+        for start in begun
+    ]
+    return np.asarray(min((end for end in ends if end.success), key=lambda end: end.fun).x)
 
 
 def difference(

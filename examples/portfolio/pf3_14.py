@@ -87,8 +87,9 @@ def make() -> tuple[Figure, list[Claim]]:
         Claim(
             "the first, of a sharper peak, becomes greener, the second stays bluer",
             f"hue {greener[0]:.0f}° and {greener[1]:.0f}° in frontal light, "
-            f"C* {float(chroma(colors['frontal'][0])):.1f} and {float(chroma(colors['frontal'][1])):.1f}",
-            if_alike(greener[0] < greener[1]),
+            f"C* {float(chroma(colors['frontal'][0])):.1f} and {float(chroma(colors['frontal'][1])):.1f}; "
+            f"peaks of {flats[0].max():.2f} and {flats[1].max():.2f}",
+            if_alike(greener[0] < greener[1] and flats[0].max() > flats[1].max()),
         ),
     ]
 
