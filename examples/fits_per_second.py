@@ -27,7 +27,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from fitting.bench import thesis_recipe
-from fitting.bench.measure import describe_machine
+from fitting.bench.timing import describe_machine
 
 jax.config.update("jax_enable_x64", True)
 

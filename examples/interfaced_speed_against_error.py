@@ -24,11 +24,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from speed_against_error import REFLECTANCES, SMALLEST_ANGLE, TOLERANCE_OF_REFERENCE, compiled
 
 import vcavity_jax as vc
 from fitting.bench import thesis_recipe
-from fitting.bench.measure import describe_machine
+from fitting.bench.diffusing import REFLECTANCES
+from fitting.bench.diffusing import SMALLEST as SMALLEST_ANGLE
+from fitting.bench.timing import compiled, describe_machine
 from vcavity_jax import interfaced_scene, planning, wiener_hopf
 from vcavity_jax.directions import components
 from vcavity_jax.planning import Plan
@@ -37,6 +38,7 @@ from vcavity_jax.scene import Illumination
 jax.config.update("jax_enable_x64", True)
 
 INDEX = 1.5
+TOLERANCE_OF_REFERENCE = 1e-13
 DISPERSED = INDEX + 0.004 * jnp.linspace(1, -1, REFLECTANCES.size)
 LAYER = jnp.linspace(0.2, 0.95, REFLECTANCES.size)
 AIM_VALUE_MS, AIM_GRADIENT_MS = 1.0, 5.0

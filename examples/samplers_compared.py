@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fitting.bench import thesis_recipe
-from fitting.bench.measure import describe_machine
+from fitting.bench.timing import describe_machine
 
 jax.config.update("jax_enable_x64", True)
 

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 
-from fitting.bench.measure import describe_machine
+from fitting.bench.timing import describe_machine
 
 jax.config.update("jax_enable_x64", True)
 

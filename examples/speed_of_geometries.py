@@ -29,22 +29,6 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from jaxtyping import Array
-from speed_against_error import (
-    FRONTAL,
-    GOLD,
-    REFLECTANCES,
-    REVERSE,
-    REVERSE_ALL,
-    ROUNDING,
-    SLANTED,
-    SMALLEST_ANGLE,
-    TOLERANCE_OF_REFERENCE,
-    WAVELENGTHS,
-    GradientRow,
-    compiled,
-    measure_gradients,
-    median_time,
-)
 from thesis_grid import (
     directions_on_grid,
     facets_in_trapped_sphere,
@@ -60,20 +44,25 @@ from thesis_grid import (
 
 import vcavity_jax as vc
 from fitting.bench import thesis_recipe
-from fitting.bench.measure import describe_machine
+from fitting.bench.diffusing import FRONTAL, REFLECTANCES, SLANTED
+from fitting.bench.diffusing import SMALLEST as SMALLEST_ANGLE
+from fitting.bench.measure import ROUNDING
+from fitting.bench.mirrors import GOLD, WAVELENGTHS_NM
 from fitting.bench.thesis_recipe import Real
+from fitting.bench.timing import compiled, describe_machine, median_time
 from vcavity_jax import planning, resolution
 from vcavity_jax.angle_table import BihemisphericalTable
 from vcavity_jax.planning import Plan
 
 ROUGHNESS = 0.3
-SILICON = vc.materials.refractive_index("Si-Green-2008", WAVELENGTHS)
+SILICON = vc.materials.refractive_index("Si-Green-2008", WAVELENGTHS_NM)
 MAP_SIZE, MAP_SAMPLE = 256, 60
 HEADLINE = "mirrors d:d, gold 45°"
 TABULATED = "random mirrors d:d, gold m = 0.3, table"
 MAP = f"map {MAP_SIZE} x {MAP_SIZE}, gold 45°"
 AIM_SPHERE_MS, AIM_TABLE_MS, AIM_MAP_S = 5.0, 1.0, 2.0
 AIM_TOLERANCE = 1e-6
+TOLERANCE_OF_REFERENCE = 1e-13
 
 
 def chains(plan: Plan, angle: float) -> str:
@@ -410,9 +399,7 @@ def aims(rows: list[Row]) -> list[str]:
     ]
 
 
-def markdown(
-    rows: list[Row], grid: list[GridRow], gradients: list[GradientRow], aims: list[str], machine: dict[str, str]
-) -> str:
+def markdown(rows: list[Row], grid: list[GridRow], aims: list[str], machine: dict[str, str]) -> str:
     """The tables."""
     lines = [f"- {name}: {value}" for name, value in machine.items()] + aims
     lines += [
@@ -446,17 +433,6 @@ def markdown(
             ours = f"{best.total_ms:.3g} | {best.error:.1e} | {g.time_ms / best.total_ms:.3g}"
         step = "one direction" if math.isinf(g.step_deg) else f"{g.step_deg:g}°"
         lines.append(f"| {g.quantity} | {step} | {g.time_ms:.3g} | {g.error:.1e} | {ours} |")
-    lines += [
-        "",
-        f"A misfit at {AIM_TOLERANCE:.0e} with its gradient, and alone.",
-        "",
-        "| quantity | derivative | compile, s | value, ms | with derivative, ms | ratio |",
-        "|---|---|---|---|---|---|",
-    ]
-    for d in gradients:
-        by = d.derivative.replace("angle", "parameter")
-        times = f"{d.value_us / 1e3:.3g} | {d.time_us / 1e3:.3g} | {d.ratio:.2f}"
-        lines.append(f"| {d.case} | {by} | {d.compile_s:.1f} | {times} |")
     return "\n".join(lines) + "\n"
 
 
@@ -497,25 +473,19 @@ def main() -> None:
     patience = 30.0 if full else 3.0
     machine = describe_machine()
     found: list[Row | GridRow] = []
-    gradients: list[GradientRow] = []
     for quantity in quantities():
         if not (full or quantity.short):
             continue
         found += measure(quantity, tolerances, patience)
-        if full or quantity.name in (HEADLINE, TABULATED):
-            kinds = (REVERSE, REVERSE_ALL) if full and quantity.name != TABULATED else (REVERSE,)
-            parameters = np.array([quantity.parameter])
-            gradients += measure_gradients(quantity, parameters, AIM_TOLERANCE, patience, kinds)
     found += measure_map()
     rows = [r for r in found if isinstance(r, Row)]
     grid = [r for r in found if isinstance(r, GridRow)]
-    text = markdown(rows, grid, gradients, aims(rows), machine)
+    text = markdown(rows, grid, aims(rows), machine)
     (folder / "speed_of_geometries.md").write_text(text, encoding="utf-8")
     record = {
         "machine": machine,
         "rows": [asdict(r) for r in rows],
         "grid": [asdict(r) for r in grid],
-        "gradients": [asdict(g) for g in gradients],
     }
     (folder / "speed_of_geometries.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
     draw(rows, grid, folder / "speed_of_geometries.png")

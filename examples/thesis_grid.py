@@ -6,10 +6,11 @@ and wavelengths are vectorized. Used by speed_of_geometries.py, as is the indepe
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from speed_against_error import GOLD, REFLECTANCES, SLANTED
 
 import vcavity_jax as vc
 from fitting.bench import thesis_recipe
+from fitting.bench.diffusing import REFLECTANCES, SLANTED
+from fitting.bench.mirrors import GOLD
 from fitting.bench.thesis_recipe import Direction, Real
 
 EIGHT = np.deg2rad(8.0), 0.0

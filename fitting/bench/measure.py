@@ -1,11 +1,9 @@
 """What is measured of a quantity: compile time, run time, memory, error and success, of ours and of its peers."""
 
-import os
-import platform
 import statistics
 import time
 import tracemalloc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
+
+from fitting.bench.peak import Peak
+from fitting.bench.timing import compiled, median_time
 
 Real = NDArray[np.float64]
 Spectrum = Callable[[Array, Array], Array]
@@ -101,6 +102,7 @@ class Row:
         memory_kib: of a batch, beyond arguments and results.
         error: the largest absolute one of values; for a gradient, of the derivative by geometry.
         success: share of the scenes within the tolerance and finite.
+        of_peak: see ``Peak.fraction``; None for peers and single precision.
     """
 
     part: str
@@ -116,6 +118,7 @@ class Row:
     memory_kib: float
     error: float
     success: float
+    of_peak: float | None = None
 
 
 @dataclass(frozen=True)
@@ -139,42 +142,52 @@ class Effort:
 
 FULL = Effort((1e-3, 1e-6, 1e-9, 1e-12), (1, 100, 1000), 2.0, (1e-6, 1e-9), (1e-3, 1e-5))
 
+Machines = Sequence[tuple[jax.Device, Peak]]
+"""Devices to compute on, and what each can do."""
+
 _MOST_HEAVY = 10
 """Scenes in a batch of what runs one after the other anyway."""
 
 
-def rows(quantity: Quantity, effort: Effort) -> Iterator[Row]:
-    """Ours and its peers, side by side."""
-    batches = effort.batches
-    if quantity.together == 1:
-        batches = tuple(dict.fromkeys(min(batch, _MOST_HEAVY) for batch in batches))
+def rows(quantity: Quantity, effort: Effort, machines: Machines) -> Iterator[Row]:
+    """Ours on each device, and its peers, side by side."""
     checked = quantity.geometry(_CHECKED)
     reference = quantity.reference(checked)
-    kept = [t for t in quantity.tolerances if t in effort.tolerances or quantity.exact_sum]
-    for tolerance in kept:
-        for batch in batches:
-            yield _ours(quantity, tolerance, batch, effort, checked, reference, "float64")
-    for tolerance in effort.single:
-        if not quantity.exact_sum:
-            yield _ours(quantity, tolerance, max(batches), effort, checked, reference, "float32")
-    for tolerance in effort.gradients if quantity.gradient else ():
-        yield _gradient(quantity, tolerance, max(batches), effort, checked)
-        if quantity.exact_sum:
-            break
+    for device, peak in machines:
+        with jax.default_device(device):
+            yield from _ours(quantity, effort, peak, checked, reference)
     for peer in quantity.peers:
         yield _peer(quantity, peer, checked, reference)
 
 
-def _ours(
+def _ours(quantity: Quantity, effort: Effort, peak: Peak, checked: Real, reference: Real) -> Iterator[Row]:
+    batches = effort.batches
+    if quantity.together == 1:
+        batches = tuple(dict.fromkeys(min(batch, _MOST_HEAVY) for batch in batches))
+    kept = [t for t in quantity.tolerances if t in effort.tolerances or quantity.exact_sum]
+    for tolerance in kept:
+        for batch in batches:
+            yield _value(quantity, tolerance, batch, effort, peak, checked, reference)
+    for tolerance in effort.single:
+        if not quantity.exact_sum:
+            yield _value(quantity, tolerance, max(batches), effort, None, checked, reference)
+    for tolerance in effort.gradients if quantity.gradient else ():
+        yield _gradient(quantity, tolerance, max(batches), effort, peak, checked)
+        if quantity.exact_sum:
+            break
+
+
+def _value(
     quantity: Quantity,
     tolerance: float,
     batch: int,
     effort: Effort,
+    peak: Peak | None,
     checked: Real,
     reference: Real,
-    precision: str,
 ) -> Row:
-    exact = quantity.exact_sum
+    """In single precision without a peak, which is that of double precision."""
+    exact, precision = quantity.exact_sum, "float32" if peak is None else "float64"
     with jax.enable_x64(precision == "float64"):
         optical = jnp.asarray(quantity.optical)
         spectrum = quantity.ours(tolerance)
@@ -196,16 +209,17 @@ def _ours(
         "value",
         precision,
         batch,
-        jax.default_backend(),
+        _device(),
         compile_s,
         1e6 * seconds,
         _memory(program),
         float(np.nanmax(errors)),
         float(np.mean(errors <= allowed)),
+        None if peak is None else peak.fraction(program, _counted(batch, quantity.together), seconds),
     )
 
 
-def _gradient(quantity: Quantity, tolerance: float, batch: int, effort: Effort, checked: Real) -> Row:
+def _gradient(quantity: Quantity, tolerance: float, batch: int, effort: Effort, peak: Peak, checked: Real) -> Row:
     """A misfit with its derivatives by geometry and optical data; their error against Richardson differences."""
     exact = quantity.exact_sum
     complex_valued = np.iscomplexobj(quantity.optical)
@@ -241,12 +255,13 @@ def _gradient(quantity: Quantity, tolerance: float, batch: int, effort: Effort, 
         "gradient",
         "float64",
         batch,
-        jax.default_backend(),
+        _device(),
         compile_s,
         1e6 * seconds,
         _memory(program),
         float(np.median(errors)),  # A difference across a kink is no derivative.
         float(finite),
+        peak.fraction(program, _counted(batch, quantity.together), seconds),
     )
 
 
@@ -287,22 +302,14 @@ def _batched(function: Callable[[Array], Any], batch: int, together: int) -> Cal
     return lambda values: jax.lax.map(function, values, batch_size=min(batch, together))
 
 
-def compiled(function: Callable[..., Any], *arguments: Array) -> tuple[Any, float]:
-    """The program for arguments of these shapes, and the seconds that tracing and compiling it took."""
-    start = time.perf_counter()
-    program = jax.jit(function).lower(*arguments).compile()
-    return program, time.perf_counter() - start
+def _counted(batch: int, together: int) -> int:
+    """Scenes whose work XLA counts: of groups that run in a loop, one; and the rest."""
+    return batch if batch <= together else together + batch % together
 
 
-def median_time(run: Callable[[], Any], seconds: float, most: int = 15) -> float:
-    """Median duration of at least three calls, and more while there is time."""
-    start = time.perf_counter()
-    times: list[float] = []
-    while len(times) < 3 or (len(times) < most and time.perf_counter() - start < seconds):
-        before = time.perf_counter()
-        jax.block_until_ready(run())
-        times.append(time.perf_counter() - before)
-    return statistics.median(times)
+def _device() -> str:
+    """The kind that computes now: "cpu" or "gpu"."""
+    return next(iter(jnp.zeros(()).devices())).platform
 
 
 def _memory(program: Any) -> float:
@@ -311,14 +318,3 @@ def _memory(program: Any) -> float:
         return float(program.memory_analysis().temp_size_in_bytes) / 1024
     except (AttributeError, NotImplementedError, RuntimeError):
         return float("nan")
-
-
-def describe_machine() -> dict[str, str]:
-    """What the times depend on."""
-    load = ", ".join(f"{x:.1f}" for x in os.getloadavg()) if hasattr(os, "getloadavg") else "unknown"
-    return {
-        "hardware": f"{os.cpu_count()} CPUs, {platform.machine()}, {platform.system()}",
-        "load average at the start": load,
-        "versions": f"Python {platform.python_version()}, jax {jax.__version__} on {jax.default_backend()}, "
-        f"NumPy {np.__version__}",
-    }

@@ -13,7 +13,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from fitting import files
-from fitting.bench.measure import FULL, ROUNDING, Effort, Quantity, Row, describe_machine, rows
+from fitting.bench.measure import FULL, ROUNDING, Effort, Machines, Quantity, Row, rows
+from fitting.bench.peak import measure_peak
+from fitting.bench.timing import describe_machine
 from fitting.plots import write_figure
 
 PARTS = {
@@ -30,12 +32,28 @@ def quantities(parts: Iterable[str]) -> list[Quantity]:
     return [q for part in parts for q in import_module(f"fitting.bench.{PARTS[part]}").QUANTITIES]
 
 
-def run(parts: Iterable[str], effort: Effort, told: Callable[[str], None], peers: Sequence[str] = ()) -> list[Row]:
+def find_machines() -> tuple[Machines, dict[str, str]]:
+    """The CPU, and a GPU where JAX finds one; and words on them."""
+    cpu, best = jax.devices("cpu")[0], jax.devices()[0]
+    machines = [(device, measure_peak(device)) for device in dict.fromkeys((cpu, best))]
+    return machines, describe_machine() | {
+        f"peak of the {device.platform}, double precision": str(peak) for device, peak in machines
+    }
+
+
+def run(
+    parts: Iterable[str],
+    effort: Effort,
+    machines: Machines,
+    told: Callable[[str], None],
+    peers: Sequence[str] = (),
+) -> list[Row]:
     """All rows; each is told as soon as it is measured.
 
     Args:
         parts: of ``PARTS``.
         effort: how much is measured.
+        machines: see ``find_machines``.
         told: is given a line of text for each row.
         peers: optional ones that are asked for: "mitsuba".
 
@@ -46,7 +64,7 @@ def run(parts: Iterable[str], effort: Effort, told: Callable[[str], None], peers
     for quantity in quantities(parts):
         for peer in peers:
             quantity = import_module(f"fitting.bench.{peer}_peer").beside(quantity)
-        for row in rows(quantity, effort):
+        for row in rows(quantity, effort, machines):
             told(line(row))
             found.append(row)
     return found
@@ -56,7 +74,8 @@ def line(row: Row) -> str:
     """One row to read."""
     asked = "" if row.tolerance is None else f" {row.tolerance:.0e}"
     return (
-        f"{row.part}: {row.quantity}: {row.method}{asked}, {row.what}, {row.precision}, {row.scenes} scenes: "
+        f"{row.part}: {row.quantity}: {row.method}{asked}, {row.what}, {row.precision}, {row.scenes} scenes, "
+        f"{row.device}: "
         f"{row.time_us:.3g} µs, error {row.error:.1e}"
     )
 
@@ -68,20 +87,23 @@ def markdown(found: Sequence[Row], machine: dict[str, str]) -> str:
         "",
         "Times are medians per spectrum of 36 wavelengths, without compilation. Errors are the largest absolute",
         "ones over random scenes; of path tracers, root mean squares; of a gradient, the median of the relative",
-        "error of the derivative by the angle or the roughness. Slower by: than ours at an error not larger.",
+        "error of the derivative by the angle or the roughness. Of peak: the time that the arithmetic (as XLA",
+        "counts it; of a loop, one pass) or the traffic takes at best, over the time. Slower by: than ours at an",
+        "error not larger.",
         "",
-        "| part | quantity | method | tolerance | what | scenes | compile (s) | time (µs) | memory (KiB) | error "
-        "| success | slower by |",
-        "|---" * 12 + "|",
+        "| part | quantity | method | device | tolerance | what | scenes | compile (s) | time (µs) | memory (KiB) "
+        "| error | success | of peak | slower by |",
+        "|---" * 14 + "|",
     ]
     for row in found:
         asked = "" if row.tolerance is None else f"{row.tolerance:.0e}"
         method = row.method if row.precision == "float64" else f"{row.method}, float32"
         compiling = f"{row.compile_s:.1f}" if row.compile_s else ""
+        share = f"{row.of_peak:.0%}" if row.of_peak is not None else ""
         lines.append(
-            f"| {row.part} | {row.quantity} | {method} | {asked} | {row.what} | {row.scenes} | {compiling} | "
-            f"{row.time_us:.3g} | {row.memory_kib:.0f} | {row.error:.1e} | {row.success:.0%} | "
-            f"{_ratio(row, found)} |"
+            f"| {row.part} | {row.quantity} | {method} | {row.device} | {asked} | {row.what} | {row.scenes} "
+            f"| {compiling} | {row.time_us:.3g} | {row.memory_kib:.0f} | {row.error:.1e} | {row.success:.0%} | "
+            f"{share} | {_ratio(row, found)} |"
         )
     return "\n".join(lines) + "\n"
 
@@ -111,12 +133,15 @@ def draw(found: Sequence[Row]) -> Figure:
     for axes, (part, quantity) in zip(panels, names, strict=False):
         mine = [row for row in found if (row.part, row.quantity) == (part, quantity) and row.what == "value"]
         own = [row for row in mine if row.method == "vcavity"]
-        for precision, batch in dict.fromkeys((row.precision, row.scenes) for row in own):
-            chosen = [row for row in own if (row.precision, row.scenes) == (precision, batch)]
+        for device, precision, batch in dict.fromkeys((row.device, row.precision, row.scenes) for row in own):
+            chosen = [row for row in own if (row.device, row.precision, row.scenes) == (device, precision, batch)]
             label = f"vcavity, batch of {batch}" if precision == "float64" else "vcavity, float32"
+            label += "" if device == "cpu" else f", {device}"
             style = {"color": "#0072B2", "linestyle": "-" if batch > 1 else ":", "marker": "o", "markersize": 4}
             if precision == "float32":
                 style["color"] = "#56B4E9"
+            if device != "cpu":
+                style["color"] = "#009E73"
             (seen[label],) = axes.plot(
                 [row.time_us for row in chosen], [max(row.error, ROUNDING) for row in chosen], **style
             )
@@ -153,8 +178,9 @@ def main(part: str) -> None:
     parser.add_argument("--full", action="store_true", help="all tolerances, batches and single precision")
     given = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    machine = describe_machine()
-    found = run([part], FULL if given.full else Effort(), lambda text: print(text, file=sys.stderr, flush=True))
+    machines, words = find_machines()
+    effort = FULL if given.full else Effort()
+    found = run([part], effort, machines, lambda text: print(text, file=sys.stderr, flush=True))
     if given.outdir is not None:
-        write(found, machine, given.outdir)
-    print(markdown(found, machine))
+        write(found, words, given.outdir)
+    print(markdown(found, words))

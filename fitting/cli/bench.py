@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from fitting.bench import report
-from fitting.bench.measure import FULL, Effort, describe_machine
+from fitting.bench.measure import FULL, Effort
 from fitting.cli.fit import require_writable
 
 
@@ -13,11 +13,12 @@ def run(given: argparse.Namespace) -> int:
     """Measure, print the table and write what was found; each row is told on standard error as it comes."""
     if given.output is not None:
         require_writable(Path(given.output).parent)
-    machine = describe_machine()
+    machines, machine = report.find_machines()
     parts = tuple(dict.fromkeys(given.part or report.PARTS))
     found = report.run(
         parts,
         FULL if given.full else Effort(),
+        machines,
         lambda text: print(text, file=sys.stderr, flush=True),
         tuple(dict.fromkeys(given.peer)),
     )

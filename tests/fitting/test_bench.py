@@ -3,12 +3,16 @@
 import dataclasses
 import json
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import vcavity_jax as vc
 from fitting.bench import mirrors, nystrom, path_tracer, report, thesis_recipe
 from fitting.bench.measure import Effort, Peer, Quantity, rows
+from fitting.bench.peak import measure_peak
+from fitting.bench.timing import compiled, median_time
 from fitting.cli import arguments, main
 
 R = np.array([0.2, 0.6, 0.95])
@@ -71,8 +75,13 @@ def quantity() -> Quantity:
 
 
 @pytest.fixture(scope="module")
-def found(quantity):
-    return list(rows(quantity, Effort(batches=(4,), seconds=0.0)))
+def machines():
+    return report.find_machines()[0]
+
+
+@pytest.fixture(scope="module")
+def found(quantity, machines):
+    return list(rows(quantity, Effort(batches=(4,), seconds=0.0), machines))
 
 
 def test_rows_are_sound(found):
@@ -87,6 +96,32 @@ def test_rows_are_sound(found):
     assert gradient.success == 1
     assert wrong.error == pytest.approx(0.01)
     assert not wrong.compile_s
+    assert 0 < value.of_peak < 1
+    assert 0 < gradient.of_peak < 1
+    assert wrong.of_peak is None
+
+
+def test_of_the_peak():
+    """A program that does nothing but what the peak counts comes near it; so does one that loops."""
+    peak = measure_peak()
+    x = jnp.linspace(1.0, 2.0, 1 << 15)
+
+    def logarithms(x):
+        return jnp.log(x.reshape(16, -1)).sum(axis=0)
+
+    once, _ = compiled(logarithms, x)
+    assert 0.1 < peak.fraction(once, 1, median_time(lambda: once(x), 0.1, 200)) < 10
+    many, _ = compiled(lambda x: jax.lax.map(logarithms, jnp.broadcast_to(x, (8, x.size))), x)
+    assert 0.1 < peak.fraction(many, 1, median_time(lambda: many(x), 0.1, 200) / 8) < 10
+
+
+def test_a_table_of_two_devices(found):
+    both = [*found, dataclasses.replace(found[0], device="gpu", time_us=0.5)]
+    text = report.markdown(both, {})
+    assert text.count("| gpu |") == 1
+    assert float(text.splitlines()[-2].split("|")[-2]) == pytest.approx(found[2].time_us / 0.5, rel=1e-2)
+    labels = [t.get_text() for t in report.draw(both).legends[0].get_texts()]
+    assert labels == ["vcavity, batch of 4", "vcavity, batch of 4, gpu", "wrong by 0.01"]
 
 
 def test_the_table_and_the_figure(found, tmp_path):
