@@ -111,56 +111,58 @@ def mirrors(low: float, high: float) -> Any:
     return draw
 
 
-def diffuser(smallest: float) -> Values:
+def scattering(make: Callable[[Any, Any], Any], exact: float, **smallest: float) -> Values:
+    """Of a material by two numbers: a reflectance first, and white where that is one."""
+
     def value(angle: Any, theta: Any, phi: Any, polar: Any, azimuth: Any, first: Any, second: Any) -> Any:
-        panels = vc.TwoPanels(vc.Lambertian(first), vc.Lambertian(second))
+        def seen(light: Any, view: Any, first: Any, second: Any) -> Any:
+            scene = vc.Scene(vc.VGrooves(angle), make(first, second), light, vc.View(*view))
+            return vc.reflectance_factor(scene, exact / 10, **smallest)
 
-        def seen(light: Any, view: Any, material: Any) -> Any:
-            scene = vc.Scene(vc.VGrooves(angle), material, light, vc.View(*view))
-            return vc.reflectance_factor(scene, EXACT / 10, smallest_angle=smallest)
-
-        there = seen(vc.Directional(theta, phi), (polar, azimuth), panels)
-        back = seen(vc.Directional(polar, azimuth), (theta, phi), panels)
-        white = seen(vc.Diffuse(), (polar, azimuth), vc.Lambertian(jnp.ones_like(first)))
+        there = seen(vc.Directional(theta, phi), (polar, azimuth), first, second)
+        back = seen(vc.Directional(polar, azimuth), (theta, phi), first, second)
+        one = jnp.ones_like(first)
+        white = seen(vc.Diffuse(), (polar, azimuth), one, one if make is two_panels else second)
         return there, back, jnp.full_like(there, jnp.inf), white
 
     return value
 
 
-def diffusers(low: float, high: float) -> Any:
+def two_panels(first: Any, second: Any) -> vc.TwoPanels:
+    return vc.TwoPanels(vc.Lambertian(first), vc.Lambertian(second))
+
+
+def frontal(angle: Any, rho: Any, n: Any) -> Any:
+    """Varnished, in diffuse light and seen frontally: no panel is hidden, and the factor is an albedo."""
+
+    def seen(rho: Any, light: Any, detector: Any) -> Any:
+        scene = vc.Scene(vc.VGrooves(angle), vc.InterfacedLambertian(rho, n), light, detector)
+        return vc.reflectance_factor(scene, EXACT_INTERFACED / 10, **WIDE)
+
+    value, back = seen(rho, vc.Diffuse(), vc.View()), seen(rho, vc.Directional(), vc.Hemisphere())
+    return value, back, jnp.ones_like(value), seen(jnp.ones_like(rho), vc.Diffuse(), vc.View())
+
+
+WIDE = {"smallest_angle": float(np.radians(40.0)), "smallest_index": 1.2}
+
+
+def scatterers(low: float, high: float, others: Callable[[np.random.Generator, int], np.ndarray]) -> Any:
     def draw(random: np.random.Generator, size: int) -> tuple[np.ndarray, ...]:
         angle = angles(random, size, low, high)
         light, view = directions(random, angle), directions(random, angle)
         # Where both graze, the reflectance factor itself has no bound.
         steep = np.clip(light[0], -1.5, 1.5)
-        return angle, steep, light[1], *view, reflectances(random, size), reflectances(random, size)
+        return angle, steep, light[1], *view, reflectances(random, size), others(random, size)
 
     return draw
 
 
-def varnish(smallest: float) -> Values:
-    def value(angle: Any, theta: Any, phi: Any, polar: Any, azimuth: Any, rho: Any, n: Any) -> Any:
-        def seen(light: Any, view: Any, rho: Any) -> Any:
-            material = vc.InterfacedLambertian(rho, n)
-            scene = vc.Scene(vc.VGrooves(angle), material, light, vc.View(*view))
-            return vc.reflectance_factor(scene, EXACT_INTERFACED / 10, smallest_angle=smallest, smallest_index=1.2)
-
-        there = seen(vc.Directional(theta, phi), (polar, azimuth), rho)
-        back = seen(vc.Directional(polar, azimuth), (theta, phi), rho)
-        white = seen(vc.Diffuse(), (polar, azimuth), jnp.ones_like(rho))
-        return there, back, jnp.full_like(there, jnp.inf), white
-
-    return value
+def indices(random: np.random.Generator, size: int) -> np.ndarray:
+    return some(random, size, 1.2, 4.0, [1.2, 1.5, 4.0])
 
 
-def varnishes(low: float, high: float) -> Any:
-    def draw(random: np.random.Generator, size: int) -> tuple[np.ndarray, ...]:
-        angle = angles(random, size, low, high)
-        light, view = directions(random, angle), directions(random, angle)
-        n = some(random, size, 1.2, 4.0, [1.2, 1.5, 4.0])
-        return angle, np.clip(light[0], -1.5, 1.5), light[1], *view, reflectances(random, size), n
-
-    return draw
+def albedos(random: np.random.Generator, size: int) -> tuple[np.ndarray, ...]:
+    return angles(random, size, 40.0, 180.0), reflectances(random, size), indices(random, size)
 
 
 MILLION = pytest.mark.slow
@@ -191,7 +193,8 @@ def test_mirrors(low: float, high: float, size: int) -> None:
     ],
 )
 def test_diffusers(low: float, high: float, size: int) -> None:
-    fuzz(7, size, diffuser(float(np.radians(low))), diffusers(low, high))
+    value = scattering(two_panels, EXACT, smallest_angle=float(np.radians(low)))
+    fuzz(7, size, value, scatterers(low, high, reflectances))
 
 
 @pytest.mark.parametrize(
@@ -203,4 +206,13 @@ def test_diffusers(low: float, high: float, size: int) -> None:
     ],
 )
 def test_interfaces(low: float, high: float, size: int) -> None:
-    fuzz(7, size, varnish(float(np.radians(low))), varnishes(low, high), EXACT_INTERFACED, 20)
+    smallest = {"smallest_angle": float(np.radians(low)), "smallest_index": 1.2}
+    value = scattering(vc.InterfacedLambertian, EXACT_INTERFACED, **smallest)
+    fuzz(7, size, value, scatterers(low, high, indices), EXACT_INTERFACED, 20)
+
+
+@pytest.mark.parametrize(
+    "size", [pytest.param(20_000, id="sample"), pytest.param(1_000_000, id="million", marks=MILLION)]
+)
+def test_interfaces_in_diffuse_light(size: int) -> None:
+    fuzz(7, size, frontal, albedos, EXACT_INTERFACED)
