@@ -8,7 +8,8 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float64
 
-from fitting.readers import native
+from fitting.readers import formats
+from fitting.readers.samples import Asked
 
 # Room for the rounding of degrees to radians, far below what any goniometer resolves.
 _ANGLE_SLACK = 1e-9
@@ -116,21 +117,34 @@ class Measurement:
         *,
         column: str | None = None,
         reflectance_unit: str | None = None,
+        geometry: str | None = None,
+        geometry_azimuth_deg: float | None = None,
+        trap_half_angle_deg: float | None = None,
     ) -> "Measurement":
         """Read a measurement file; nothing in it is sorted, clipped, filled or guessed.
 
-        Three forms are read: tidy CSV (`wavelength_nm, polar_deg, azimuth_deg, reflectance_factor`,
-        optional `standard_uncertainty`); a spectrum (`wavelength_nm, reflectance_factor`, or two columns
-        of bare numbers); a table of samples (`wavelength_nm` and one column per sample). The last two are
-        one frontal view in diffuse light unless `# key: value` lines say otherwise: `geometry` names light
-        and view at once (`geometry: d:8`, with `geometry_azimuth_deg` and `trap_half_angle_deg` if need
-        be), or `illumination`, `polar_deg` and `azimuth_deg` give them one by one; `standard_uncertainty`
-        may stand there too. Wavelength and direction pairs that no row gives are NaN; so are empty cells.
+        The format is told from the contents. The native CSV has three forms: tidy (`wavelength_nm, polar_deg,
+        azimuth_deg, reflectance_factor`, optional `standard_uncertainty`); a spectrum (`wavelength_nm,
+        reflectance_factor`, or two columns of bare numbers); a table of samples (`wavelength_nm` and one column
+        per sample). The last two are one frontal view in diffuse light unless `# key: value` lines say otherwise:
+        `geometry` names light and view at once (`geometry: d:8`, with `geometry_azimuth_deg` and
+        `trap_half_angle_deg` if need be), or `illumination`, `polar_deg` and `azimuth_deg` give them one by one;
+        `standard_uncertainty` may stand there too. Wavelength and direction pairs that no row gives are NaN; so
+        are empty cells.
+
+        Of the files of instruments, CGATS (.ti3, .txt), CxF3, JCAMP-DX (the extra "jcamp") and IES TM-27 are
+        read. What such a file says of light, view and specular component is used; what it does not say must be
+        given, and what it says must not be contradicted.
 
         Args:
-            path: the file, UTF-8 text of at most 256 MB.
-            column: which sample of a table of samples to take.
+            path: the file, UTF-8 text of at most 256 MB; CGATS and JCAMP-DX may be Latin-1.
+            column: which sample of several to take.
             reflectance_unit: "fraction" or "percent", for a file that does not declare its unit.
+            geometry: light and view by their name, see ``vcavity_jax.cie_geometry``, for a file that does not
+                state them.
+            geometry_azimuth_deg: azimuth of the direction of the geometry that is not the normal; 0 across the
+                grooves (default), 90 along them.
+            trap_half_angle_deg: of the gloss trap of "de:8".
 
         Returns:
             The measurement, with reflectance as a fraction and angles in radians. Directions stand in the
@@ -142,7 +156,8 @@ class Measurement:
             ValueError: the file is not as expected. The message is one line: file, line number, what is
                 wrong, what is expected.
         """
-        contents = native.read(path, column=column, reflectance_unit=reflectance_unit)
+        asked = Asked(column, reflectance_unit, "reflectance", geometry, geometry_azimuth_deg, trap_half_angle_deg)
+        contents = formats.read(path, asked)
         return cls(
             wavelengths_nm=contents.wavelengths_nm,
             polar=contents.polar,
@@ -153,6 +168,20 @@ class Measurement:
             metadata=contents.metadata,
             hemispherical=contents.hemispherical,
         )
+
+    def write(self, path: str | PathLike[str]) -> None:
+        """Write it as native CSV (.csv) or CGATS (.ti3, .cgats, .txt), by the name's end; it reads back equal.
+
+        Args:
+            path: the file; a reader sees the old one or the new one, never a part.
+
+        Raises:
+            OSError: the file cannot be written.
+            ValueError: the name ends otherwise, or the light has no words in a file.
+        """
+        from fitting import writers
+
+        writers.write(self, path)
 
     @property
     def view(self) -> Any:
@@ -249,7 +278,7 @@ def read_spectrum(
         ValueError: the file is not as expected, has several directions, or lacks a value: a model
             has no use for a gap, and none is filled here.
     """
-    contents = native.read(path, column=column, reflectance_unit=reflectance_unit, quantity=quantity)
+    contents = formats.read(path, Asked(column, reflectance_unit, quantity))
     if contents.polar.size > 1:
         raise ValueError(f"{fspath(path)}:1: {contents.polar.size} directions; expected one spectrum")
     values = contents.reflectance_factor[0]

@@ -4,8 +4,10 @@ import os
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 # Most of the time goes into compiling; what is compiled is the same, only less polished.
-QUICKLY = "--xla_llvm_disable_expensive_passes=true --xla_cpu_use_fusion_emitters=false"
-os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICKLY}".strip()
+os.environ["XLA_FLAGS"] = (
+    f"{os.environ.get('XLA_FLAGS', '')} --xla_llvm_disable_expensive_passes=true "
+    "--xla_cpu_use_fusion_emitters=false"
+).strip()
 
 # A command keeps what it compiles for the next one; a test shall leave nothing behind.
 os.environ.setdefault("JAX_ENABLE_COMPILATION_CACHE", "false")

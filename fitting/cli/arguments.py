@@ -204,6 +204,10 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
         choices=words.UNITS,
         help="unit of a MEASUREMENT that does not declare it",
     )
+    data.add_argument(
+        "--geometry", choices=GEOMETRIES, help="light and view of a MEASUREMENT that does not state them"
+    )
+    add_turned(data)
     sampled = fit.add_argument_group("the posterior")
     sampled.add_argument(
         "--posterior",
@@ -235,6 +239,19 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
     )
 
 
+def add_turned(group: Any) -> None:
+    """How the sample lies in an instrument, and its gloss trap."""
+    group.add_argument(
+        "--geometry-azimuth",
+        type=words.azimuth,
+        metavar="DEG",
+        help="of the direction of a geometry that is not the normal: 0 across the grooves (default), 90 along",
+    )
+    group.add_argument(
+        "--trap", type=words.half_angle, metavar="DEG", help="half-angle of the gloss trap of de:8 (default: 6)"
+    )
+
+
 def _add_predict_options(predict: argparse.ArgumentParser) -> None:
     add_scene_options(predict)
     add_surface_values(predict)
@@ -260,15 +277,7 @@ def _add_predict_options(predict: argparse.ArgumentParser) -> None:
         choices=GEOMETRIES,
         help="light and view of an instrument by their name, instead of the options above",
     )
-    seen.add_argument(
-        "--geometry-azimuth",
-        type=words.azimuth,
-        metavar="DEG",
-        help="of the direction of a geometry that is not the normal: 0 across the grooves (default), 90 along",
-    )
-    seen.add_argument(
-        "--trap", type=words.half_angle, metavar="DEG", help="half-angle of the gloss trap of de:8 (default: 6)"
-    )
+    add_turned(seen)
     predict.add_argument("--output", metavar="FILE", help="write here instead of to standard output")
     add_tolerance(predict)
 

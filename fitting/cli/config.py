@@ -12,6 +12,7 @@ from fitting import Measurement, free
 from fitting.cli import config_parameters, keys, messages, request, scenes, words
 from fitting.cli.config_parameters import Freed
 from fitting.cli.keys import Check, Place
+from fitting.readers.geometry import GEOMETRIES
 
 _SAMPLE: dict[str, Check] = {
     "index": keys.word_or_number,
@@ -39,6 +40,9 @@ _MEASUREMENT: dict[str, Check] = {
     "name": keys.text,
     "column": keys.text,
     "reflectance_unit": keys.choice(*words.UNITS),
+    "geometry": keys.choice(*GEOMETRIES),
+    "geometry_azimuth_deg": keys.of_word(words.azimuth),
+    "trap_half_angle_deg": keys.of_word(words.half_angle),
     "wavelengths_nm": keys.span,
     "masked_nm": keys.many(keys.span, "a list of ranges, such as [[400, 450]]"),
     "uncertainty": keys.of_word(words.positive),
@@ -187,8 +191,8 @@ def _measured(table: dict[str, Any], place: Place, shifted: bool) -> Measurement
     Where the wavelength scale is shifted, what is masked stays as missing values: the prediction is interpolated
     between neighbors.
     """
-    unit = table.get("reflectance_unit")
-    found = Measurement.read(table["file"], column=table.get("column"), reflectance_unit=unit)
+    said = ("column", "reflectance_unit", "geometry", "geometry_azimuth_deg", "trap_half_angle_deg")
+    found = Measurement.read(table["file"], **{key: table[key] for key in said if key in table})
     if "wavelengths_nm" in table:
         try:
             found = found.select(wavelengths_nm=table["wavelengths_nm"])

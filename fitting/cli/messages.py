@@ -4,6 +4,8 @@ import re
 
 _OF_OPTIONS = {
     "expected column= one of": "expected --column with one of",
+    "expected geometry= one of": "expected --geometry with one of",
+    "no geometry= beside": "no --geometry beside",
     "expected standard_uncertainty=": "expected --uncertainty",
     "or partial=True for": "or --partial for",
     "say free.angle()": "say --free angle",
@@ -11,6 +13,8 @@ _OF_OPTIONS = {
 }
 _OF_CONFIG = {
     "expected column= one of": "expected column = one of",
+    "expected geometry= one of": "expected geometry = one of",
+    "no geometry= beside": "no geometry beside",
     "standard_uncertainty=": "uncertainty in [fit]",
     "say free.angle()": "say [parameters.angle]",
     "vcavity_jax.materials.names() lists": "'vcavity materials' lists",

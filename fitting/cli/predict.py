@@ -1,12 +1,12 @@
 """`vcavity predict`: the reflectance factor of a surface, as a measurement file."""
 
 import argparse
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 
 import vcavity_jax as vc
-from fitting import files
+from fitting import Measurement, files, writers
 from fitting.cli import messages, scenes
 from fitting.readers import geometry
 
@@ -28,11 +28,24 @@ def run(given: argparse.Namespace) -> int:
         view=seen.view,
     )
     factor = np.asarray(vc.reflectance_factor(scene, tolerance=given.tolerance))
-    text = "\n".join([*_head(given, seen.illumination), *_rows(directions, given.wavelengths, factor)]) + "\n"
+    angles = np.full((2, 1), np.nan)
+    if not seen.hemispherical:
+        angles = np.stack([seen.view.polar, seen.view.azimuth]).reshape(2, -1)
+    predicted = Measurement(
+        wavelengths,
+        angles[0],
+        angles[1],
+        factor.reshape(-1, wavelengths.size),
+        illumination=seen.illumination,
+        metadata=_told(given),
+        hemispherical=seen.hemispherical,
+    )
     if given.output is None:
-        print(text, end="")
+        print(writers.to_csv(predicted), end="")
+    elif Path(given.output).suffix.lower() in writers.SUFFIXES:
+        predicted.write(given.output)
     else:
-        files.write(given.output, text)
+        files.write(given.output, writers.to_csv(predicted))
     return 0
 
 
@@ -61,38 +74,9 @@ def _directions(given: argparse.Namespace) -> list[tuple[float, float]]:
     return []
 
 
-def _head(given: argparse.Namespace, light: Any) -> list[str]:
-    """The metadata, what was computed in the words of the command line, and the names of the columns."""
-    what = scenes.described(given)
-    columns = "wavelength_nm,polar_deg,azimuth_deg,reflectance_factor"
-    if given.geometry is None:
-        kind, *angles = given.illumination or ("diffuse",)
-        named = zip(geometry.LIGHTS[kind], map(files.number, angles), strict=True)
-        seen = [f"illumination: {', '.join([kind, *map('='.join, named)])}"]
-    else:
-        columns = "wavelength_nm,reflectance_factor"
-        seen = [f"geometry: {given.geometry}"]
-        if given.geometry in geometry.TURNED:
-            seen.append(f"geometry_azimuth_deg: {files.number(given.geometry_azimuth or 0.0)}")
-        if given.geometry in geometry.TRAPPED:
-            # Also the usual one, so that the file keeps its meaning; without what radians add to its digits.
-            usual = round(float(np.rad2deg(light.half_angle)), 9)
-            seen.append(f"trap_half_angle_deg: {files.number(usual if given.trap is None else given.trap)}")
-    return [
-        f"# title: {messages.one_line(what)}",
-        "# instrument: computed by vcavity predict, not measured",
-        *(f"# {line}" for line in seen),
-        "# reflectance_unit: fraction",
-        columns,
-    ]
-
-
-def _rows(directions: list[tuple[float, float]], wavelengths: list[float], factor: np.ndarray) -> list[str]:
-    """One line for each value; without directions there is one spectrum."""
-    table = factor.reshape(-1, len(wavelengths)).tolist()
-    columns: list[tuple[float, ...]] = [*directions] or [()]
-    return [
-        ",".join(map(files.number, (wavelength, *direction, value)))
-        for direction, row in zip(columns, table, strict=True)
-        for wavelength, value in zip(wavelengths, row, strict=True)
-    ]
+def _told(given: argparse.Namespace) -> dict[str, str]:
+    """What was computed, in the words of the command line."""
+    return {
+        "title": messages.one_line(scenes.described(given)),
+        "instrument": "computed by vcavity predict, not measured",
+    } | ({} if given.geometry is None else {"geometry": given.geometry})

@@ -9,6 +9,7 @@ from typing import Any
 import vcavity_jax as vc
 from fitting import Measurement, free
 from fitting.cli import messages, scenes, words
+from fitting.readers.geometry import TRAPPED, TURNED
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,19 @@ def of_options(given: argparse.Namespace) -> Request:
             "(see vcavity fit --help)"
         )
     given = argparse.Namespace(**vars(given) | {"surface": given.surface or "v-grooves"})
-    measurement = Measurement.read(given.measurement, column=given.column, reflectance_unit=given.reflectance_unit)
+    for name, of in (("geometry_azimuth", TURNED), ("trap", TRAPPED)):
+        if getattr(given, name) is not None and given.geometry not in of:
+            raise ValueError(
+                f"--{name.replace('_', '-')} has no effect: expected --geometry {' or '.join(of)} with it"
+            )
+    measurement = Measurement.read(
+        given.measurement,
+        column=given.column,
+        reflectance_unit=given.reflectance_unit,
+        geometry=given.geometry,
+        geometry_azimuth_deg=given.geometry_azimuth,
+        trap_half_angle_deg=given.trap,
+    )
     if given.wavelengths is not None:
         try:
             measurement = measurement.select(wavelengths_nm=given.wavelengths)

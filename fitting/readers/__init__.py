@@ -12,6 +12,8 @@ from os import PathLike, fspath
 from pathlib import Path
 
 MAX_FILE_BYTES = 256 * 1024 * 1024
+MAX_LINE = 4_000_000
+MAX_NUMBER = 400
 
 # Metadata the readers act on. All other keys are the user's own and are only kept.
 RESERVED_KEYS = (
@@ -73,7 +75,7 @@ def number(cell: str) -> float | None:
     """The number in a cell, NaN if it is empty, None if it holds anything else."""
     try:
         # float() takes "1_0" for 10, which no instrument writes.
-        return None if "_" in cell else float(cell)
+        return None if "_" in cell or len(cell) > MAX_NUMBER else float(cell)
     except ValueError:
         return None if cell.strip() else float("nan")
 
@@ -89,11 +91,12 @@ def suggestion(name: str, choices: Iterable[str]) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-def read_text(path: str | PathLike[str]) -> str:
+def read_text(path: str | PathLike[str], *, latin: bool = False) -> str:
     """The text of a UTF-8 file, with or without a byte order mark; line ends become newlines.
 
     Args:
         path: the file.
+        latin: take a file that is not UTF-8 for Latin-1, as older instruments write it.
 
     Returns:
         The decoded text.
@@ -123,6 +126,8 @@ def read_text(path: str | PathLike[str]) -> str:
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:
+        if latin:
+            return data.decode("latin-1")
         line = data.count(b"\n", 0, error.start) + 1
         byte = data[error.start]
         raise ValueError(f"{name}:{line}: byte 0x{byte:02x} is not UTF-8 text; expected UTF-8") from None
@@ -157,6 +162,10 @@ def read_table(path: str | PathLike[str]) -> TextTable:
         if not stripped:
             continue
         last = line_number
+        if len(line) > MAX_LINE:
+            raise ValueError(
+                f"{name}:{line_number}: a line of {len(line)} characters; expected at most {MAX_LINE}"
+            )
         if stripped.startswith("#"):
             try:
                 _note(stripped.lstrip("#").strip(), line_number, entries, comments)
@@ -179,6 +188,8 @@ def read_table(path: str | PathLike[str]) -> TextTable:
             )
         rows.append(cells)
         numbers.append(line_number)
+    while rows and len(rows[0]) > 2 and not any(row[-1].strip() for row in rows):
+        rows = [row[:-1] for row in rows]  # Every line ends with a separator.
     if not rows:
         what = "no data rows, only comments" if entries or comments else "the file is empty"
         raise ValueError(f"{name}:{last}: {what}; expected a measurement")

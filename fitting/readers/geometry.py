@@ -5,6 +5,7 @@ needs more than the standard library until a light or a view is made, so that th
 """
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -155,7 +156,19 @@ def _illumination(table: TextTable) -> Any:
     entry = table.entries.get("illumination")
     if entry is None:
         return None
-    kind, *parts = (part.strip() for part in entry.value.lower().split(","))
+    try:
+        return light_of(entry.value)
+    except ValueError as error:
+        raise table.error(entry.line, str(error)) from None
+
+
+def light_of(text: str) -> Any:
+    """The light that words describe, such as "directional, polar_deg=45, azimuth_deg=0"; None for diffuse light.
+
+    Raises:
+        ValueError: they are not understood.
+    """
+    kind, *parts = (part.strip() for part in text.lower().split(","))
     limits = LIGHTS.get(kind)
     found = {key.strip(): number(value) for key, _, value in (part.partition("=") for part in parts)}
     good = limits is not None and len(parts) == len(limits) and set(found) == set(limits)
@@ -169,9 +182,46 @@ def _illumination(table: TextTable) -> Any:
                 break
             angles.append(value)
     if not good:
-        raise table.error(
-            entry.line,
-            f"illumination is {quoted(entry.value)}; expected 'diffuse', 'directional, polar_deg=45, "
-            "azimuth_deg=0' (polar within 90, azimuth within 360 degrees) or 'annular, polar_deg=45'",
+        raise ValueError(
+            f"illumination is {quoted(text)}; expected 'diffuse', 'directional, polar_deg=45, "
+            "azimuth_deg=0' (polar within 90, azimuth within 360 degrees) or 'annular, polar_deg=45'"
         )
     return light(kind, *angles)
+
+
+def understood(text: str, specular: str = "", configuration: str = "") -> tuple[str, ...]:
+    """The names in `GEOMETRIES` that agree with an instrument's words; none if they are strange to us.
+
+    Light and receiver may stand in either order: the factor is the same, by reciprocity.
+
+    Args:
+        text: such as "45/0", "d:8", "D/8 SCI", "45°a:0°".
+        specular: "included" or "excluded", where the file says it elsewhere.
+        configuration: "annular" or "uniplanar", likewise.
+    """
+    words = text.lower().replace("°", "").replace("deg", "").replace("*", "")
+    if re.search(r"sci|specular.?included|spin", words):
+        specular = "included"
+    if re.search(r"sce|specular.?excluded|spex", words):
+        specular = "excluded"
+    configuration = "annular" if re.search(r"annular|circ", words) else configuration
+    match = re.match(r"\W*(di|de|d|\d+[acx]?)\s*[:/,x-]\s*(di|de|d|\d+[acx]?)(?![\d.])", words)
+    if match is None:
+        return ()
+    ends = {match[1], match[2]}
+    for name, other in (("di", "included"), ("de", "excluded")):
+        if name in ends:
+            specular, ends = other, (ends - {name}) | {"d"}
+    if ends == {"d", "8"}:
+        ways = {"included": ("di:8",), "excluded": ("de:8",)}
+        return ways.get(specular, ("8:d",) if match[1] == "8" else ("di:8", "de:8", "d:8"))
+    if ends == {"d", "0"}:
+        return ("0:d",) if match[1] == "0" else ("d:0",)
+    if ends == {"d"}:
+        return ("d:d",)
+    if "0" in ends and len(ends) == 2:
+        angle = (ends - {"0"}).pop()
+        kind = {"45a": "annular", "45c": "annular", "45x": "uniplanar"}.get(angle, configuration)
+        if angle in ("45", "45a", "45c", "45x"):
+            return {"annular": ("45a:0",), "uniplanar": ("45x:0",)}.get(kind, ("45a:0", "45x:0"))
+    return ()

@@ -1,18 +1,16 @@
 """The native formats: tidy CSV, a two-column spectrum, and a table of named samples."""
 
-from dataclasses import dataclass
 from os import PathLike
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
-from fitting.readers import TextTable, geometry, number, quoted, read_table, suggestion
+from fitting.readers import MAX_NUMBER, TextTable, geometry, number, quoted, read_table, suggestion
+from fitting.readers.contents import LOOKS_LIKE_PERCENT, UNITS, Contents
+from fitting.readers.samples import Asked
 
-UNITS = {"fraction": 1.0, "percent": 0.01}
 # A union grid of directions and wavelengths may be far larger than the file it comes from.
 MAX_GRID_VALUES = 50_000_000
-_LOOKS_LIKE_PERCENT = 3.0
 
 _TIDY = ("wavelength_nm", "polar_deg", "azimuth_deg", "reflectance_factor")
 _UNCERTAINTY = "standard_uncertainty"
@@ -21,46 +19,13 @@ _KNOWN = (*_TIDY, "reflectance", _UNCERTAINTY)
 _Vector = Float64[np.ndarray, " rows"]
 
 
-@dataclass(frozen=True)
-class Contents:
-    """What a measurement file holds, checked, in the units of the library.
-
-    Args:
-        wavelengths_nm: strictly increasing, nm, shape (L,).
-        polar: view polar angles, radians, shape (D,), in order of first appearance; NaN if all reflected
-            light is collected.
-        azimuth: view azimuths, radians, shape (D,); likewise.
-        reflectance_factor: fraction, shape (D, L); NaN where nothing was measured.
-        standard_uncertainty: fraction, shape (D, L), NaN where no row gives one; None if the file has none.
-        illumination: a light of `vcavity_jax`; None for diffuse light.
-        hemispherical: all reflected light is collected; there is one row, and it has no direction.
-        metadata: the file's metadata, as written.
-    """
-
-    wavelengths_nm: Float64[np.ndarray, " wavelengths"]
-    polar: Float64[np.ndarray, " directions"]
-    azimuth: Float64[np.ndarray, " directions"]
-    reflectance_factor: Float64[np.ndarray, "directions wavelengths"]
-    standard_uncertainty: Float64[np.ndarray, "directions wavelengths"] | None
-    illumination: Any
-    hemispherical: bool
-    metadata: dict[str, str]
-
-
-def read(
-    path: str | PathLike[str],
-    *,
-    column: str | None = None,
-    reflectance_unit: str | None = None,
-    quantity: str = "reflectance",
-) -> Contents:
+def read(path: str | PathLike[str], asked: Asked) -> Contents:
     """Read a measurement in one of the native formats; nothing is sorted, clipped, filled or guessed.
 
     Args:
         path: the file.
-        column: the sample to take from a table of named samples.
-        reflectance_unit: "fraction" or "percent" for a file that does not declare it.
-        quantity: what a spectrum without directions may call its values, besides reflectance.
+        asked: the sample to take from a table of named samples; the unit and the geometry, for a file that
+            does not declare them; what a spectrum without directions may call its values, besides reflectance.
 
     Returns:
         The checked contents; reflectance as a fraction, angles in radians.
@@ -70,12 +35,12 @@ def read(
         ValueError: the file breaks the format; the message names file and line.
     """
     table = read_table(path)
-    seen = geometry.of_table(table)
-    names, value_name = _columns(table, column, quantity)
+    seen = _seen(table, asked)
+    names, value_name = _columns(table, asked.column, asked.quantity)
     wavelengths = _wavelengths(table, names)
     polar_deg = _angles(table, names, "polar_deg", 90.0)
     azimuth_deg = _angles(table, names, "azimuth_deg", 360.0)
-    values, uncertainty = _reflectance(table, names, value_name, reflectance_unit)
+    values, uncertainty = _reflectance(table, names, value_name, asked.reflectance_unit)
 
     # Dictionaries keep the order in which the directions first appear.
     first_seen: dict[tuple[float, float], int] = {}
@@ -111,6 +76,19 @@ def read(
         hemispherical=seen.hemispherical,
         metadata=table.metadata(),
     )
+
+
+def _seen(table: TextTable, asked: Asked) -> geometry.Geometry:
+    """Light and view that the file states, or else those that were asked for."""
+    if asked.geometry is None:
+        return geometry.of_table(table)
+    for key in ("geometry", "illumination", "polar_deg", "azimuth_deg"):
+        line = table.entries[key].line if key in table.entries else None
+        if line is None and table.header is not None and key in table.header:
+            line = table.header_line
+        if line is not None:
+            raise table.error(line, f"the file states {key}; expected no geometry= beside it")
+    return asked.light_and_view(asked.geometry)
 
 
 def _columns(table: TextTable, column: str | None, quantity: str) -> tuple[dict[str, int], str]:
@@ -164,7 +142,7 @@ def _numbers(table: TextTable, names: dict[str, int], name: str) -> _Vector:
     cells = [row[names[name]] for row in table.rows]
     try:
         # All plain numbers, as nearly always; number() refuses underscores too.
-        values = np.array([float(cell.replace("_", "?")) for cell in cells])
+        values = np.array([float("?" if "_" in cell or len(cell) > MAX_NUMBER else cell) for cell in cells])
     except ValueError:
         values = np.array([_one_number(table, row, name, cell.strip()) for row, cell in enumerate(cells)])
     _refuse(table, names, name, np.isinf(values), "expected a finite number")
@@ -224,8 +202,6 @@ def _angles(table: TextTable, names: dict[str, int], name: str, limit: float) ->
 
 def _scale(table: TextTable, reflectance_unit: str | None) -> float | None:
     """The factor from the file's unit to a fraction, None if the unit is not declared."""
-    if reflectance_unit is not None and reflectance_unit not in UNITS:
-        raise ValueError(f"reflectance_unit {reflectance_unit!r} is unknown; expected fraction or percent")
     entry = table.entries.get("reflectance_unit")
     if entry is None:
         return None if reflectance_unit is None else UNITS[reflectance_unit]
@@ -252,7 +228,7 @@ def _reflectance(
         raise table.error(table.lines[0], f"{value_name} is missing in every row; expected at least one value")
     if scale is None:
         hint = "this looks like percent; expected '# reflectance_unit: percent' (or fraction) to be declared"
-        _refuse(table, names, value_name, raw > _LOOKS_LIKE_PERCENT, hint)
+        _refuse(table, names, value_name, raw > LOOKS_LIKE_PERCENT, hint)
         scale = 1.0
     uncertainty = None
     if _UNCERTAINTY in table.entries:

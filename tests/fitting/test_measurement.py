@@ -323,7 +323,7 @@ def test_import_does_not_load_jax() -> None:
     code = (
         "import sys, types; package = types.ModuleType('fitting'); package.__path__ = [sys.argv[1]];"
         "sys.modules['fitting'] = package; import fitting.measurement;"
-        "fitting.measurement.native.read(sys.argv[2]); sys.exit('jax' in sys.modules)"
+        "m = fitting.measurement; m.formats.read(sys.argv[2], m.Asked()); sys.exit('jax' in sys.modules)"
     )
     package = Path(sys.modules["fitting.measurement"].__file__ or "").parent
     argv = [sys.executable, "-c", code, str(package), str(EXAMPLES / "flat-orange.csv")]
