@@ -1,7 +1,7 @@
 """Thousands of spectra of one kind of sample: one table for all, then many descents at once, in bounded memory."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,12 @@ from fitting.assembly import build
 from fitting.layout import Data
 from fitting.measurement import Measurement, same_light
 from fitting.problem import GRID_STEPS, INNER_STEPS, Descent, Problem, fraction_start
+from fitting.table import Table
 
 _SPECTRA_AT_ONCE = 256
+_WITH_TABLE = 1024
+"""Spectra for which a verified table is worth its making, and how many are answered from it at once."""
+
 _STEPS = 60
 _MOST_VALLEYS = 5
 _REACH = 25.0
@@ -37,7 +41,7 @@ class ManyResult:
             if there is none. Below 4 the data hardly choose between them.
         status: of each: "converged", "not converged", "no number" (the model gives none), "not identifiable", "at
             bound", "no value" (all are missing) or "bad value" (not finite).
-        steps: of the descents of each, all together, shape (N,).
+        steps: of the descents of each, all together, shape (N,); 0 if the table sufficed.
     """
 
     values: dict[str, np.ndarray]
@@ -79,11 +83,13 @@ class _Grid:
         shape: points along each searched number.
         points: the numbers, shape (G, P).
         factors: true reflectance factors there, shape (G, D, L); None where each spectrum needs its own.
+        table: what lies between, if there are spectra enough.
     """
 
     shape: tuple[int, ...]
     points: np.ndarray
     factors: np.ndarray | None
+    table: Table | None = None
 
 
 def fit_many(
@@ -101,7 +107,9 @@ def fit_many(
 
     The search is that of ``fit``: a table over the whole allowed range, its best valleys, a descent from each.
     The table does not depend on the spectra if only gain and offset are free beside what is searched, and is made
-    once. There are no profiles: intervals, kinks and warnings are ``fit``'s.
+    once; of a thousand spectra and more it then also holds what lies between its points, verified to
+    ``tolerance``, and takes the place of the descents. There are no profiles: intervals, kinks and warnings are
+    ``fit``'s.
 
     Args:
         scene: what the samples are.
@@ -123,12 +131,7 @@ def fit_many(
     problem = build(scene, template, parameters, None, tolerance)
     if len(problem.measurements) > 1:
         raise ValueError("fit_many fits single measurements; expected one Scene")
-    grid = _grid(problem)
-    rows = []
-    for first in range(0, len(values), _SPECTRA_AT_ONCE):
-        some = slice(first, first + _SPECTRA_AT_ONCE)
-        rows.append(_fit_batch(problem, grid, values[some], sigma[some], max_steps))
-    columns = [np.concatenate(column) for column in zip(*rows, strict=True)]
+    columns = ManyProblem(problem, tolerance, len(values)).columns(values, sigma, max_steps)
     numbers, errors, free, free_errors, chi_square, dof, gap, status, steps = columns
     names = [p.name for p in problem.numbers]
     result = ManyResult(
@@ -146,6 +149,32 @@ def fit_many(
         first = int(np.argmin(result.converged))
         raise ValueError(f"spectrum {first}: {result.status[first]} ({result.summary()})")
     return result
+
+
+class ManyProblem:
+    """A problem and what all its spectra share, to fit them in parts.
+
+    Args:
+        problem: of one of them.
+        tolerance: bound on the model's numerical error.
+        count: of all spectra that will come.
+    """
+
+    def __init__(self, problem: Problem, tolerance: float, count: int) -> None:
+        self.problem = problem
+        self.grid = _grid(problem)
+        free_prior = problem.searched and np.asarray(problem.data.tightness)[0] == 0
+        if count >= _WITH_TABLE and problem.tabular and len(self.grid.shape) == 1 and free_prior:
+            assert self.grid.factors is not None
+            table = Table.of(problem, self.grid.points, self.grid.factors, tolerance)
+            self.grid = replace(self.grid, table=table)
+
+    def columns(self, values: np.ndarray, sigma: np.ndarray, max_steps: int) -> list[np.ndarray]:
+        """Columns of the result for some spectra, in the order of ``_fit_batch``."""
+        at_once = _SPECTRA_AT_ONCE if self.grid.table is None else _WITH_TABLE
+        parts = [slice(first, first + at_once) for first in range(0, len(values), at_once)]
+        rows = [_fit_batch(self.problem, self.grid, values[some], sigma[some], max_steps) for some in parts]
+        return [np.concatenate(column) for column in zip(*rows, strict=True)]
 
 
 def _stacked(
@@ -235,15 +264,10 @@ def _fit_batch(
     weights = np.where(missing, 0.0, 1 / np.where(missing, 1.0, sigma))
     means = np.where(absent, 0.0, values).sum(axis=2) / np.maximum((~absent).sum(axis=2), 1)
     batch = _Batch(np.where(missing, 0.0, values), weights, means)
-    owner, starts, spectra = _candidates(problem, grid, batch)
-    ends = _descend(problem, batch, owner, starts, spectra, None, 0, min(_STEPS, max_steps))
-    # Few need more, next to a kink; the others must not wait for them.
-    if max_steps > _STEPS and len(slow := np.flatnonzero(ends.status == OUT_OF_STEPS)):
-        again = _descend(
-            problem, batch, owner[slow], ends.values[slow], ends.spectra[slow], None, 0, max_steps - _STEPS
-        )
-        for whole, part in zip(ends[:-1], again[:-1], strict=True):
-            whole[slow] = whole[slow] + part if whole is ends.steps or whole is ends.rejected else part
+    if grid.table is None:
+        owner, ends = _descents(problem, grid, batch, np.arange(count), max_steps)
+    else:
+        owner, ends = _answers(problem, grid, grid.table, batch, max_steps)
     shape = (count, len(problem.numbers))
     free = (count, *problem.starts.shape[1:])
     numbers, errors = np.full(shape, np.nan), np.full(shape, np.nan)
@@ -277,8 +301,78 @@ def _fit_batch(
     status[who] = words
     status[empty], status[bad] = "no value", "bad value"
     gap[who] = _gaps(problem, ends.values, cost, owner, some)
-    dof = np.array([problem.freedom([w]) for w in weights], dtype=int)
+    if problem.layout.free_spectra:
+        dof = np.array([problem.freedom([w]) for w in weights], dtype=int)
+    else:
+        dof = (weights > 0).sum(axis=(1, 2)) + problem.freedom([np.zeros(weights.shape[1:])])
     return numbers, errors, found, found_errors, chi_square, dof, gap, status, steps
+
+
+def _descents(
+    problem: Problem, grid: _Grid, batch: _Batch, who: np.ndarray, max_steps: int
+) -> tuple[np.ndarray, Descent]:
+    """Descents from the best valleys of some spectra, and the spectrum that each belongs to."""
+    part = _Batch(batch.values[who], batch.weights[who], batch.means[who])
+    owner, starts, spectra = _candidates(problem, grid, part)
+    ends = _descend(problem, part, owner, starts, spectra, None, 0, min(_STEPS, max_steps))
+    # Few need more, next to a kink; the others must not wait for them.
+    if max_steps > _STEPS and len(slow := np.flatnonzero(ends.status == OUT_OF_STEPS)):
+        again = _descend(
+            problem, part, owner[slow], ends.values[slow], ends.spectra[slow], None, 0, max_steps - _STEPS
+        )
+        for whole, part_of in zip(ends[:-1], again[:-1], strict=True):
+            whole[slow] = whole[slow] + part_of if whole is ends.steps or whole is ends.rejected else part_of
+    return who[owner], ends
+
+
+def _answers(
+    problem: Problem, grid: _Grid, table: Table, batch: _Batch, max_steps: int
+) -> tuple[np.ndarray, Descent]:
+    """The minima in the valleys of all spectra from the table; descents where a cell of a valley is not good."""
+    assert grid.factors is not None
+    cost, _ = _table_costs(problem, batch, grid.points, grid.factors)
+    usable = np.asarray((batch.weights > 0).any(axis=(1, 2)))
+    owner, point = _all_valleys(np.where(usable[:, None] & np.isfinite(cost), cost, np.inf))
+    cells = np.stack([np.maximum(point - 1, 0), np.minimum(point, len(table.good) - 1)], axis=1)
+    doubtful = np.zeros(len(batch.values), bool)
+    doubtful[owner[~table.good[cells].all(axis=1)]] = True
+    # What has no valley has no number; the descents say so.
+    doubtful |= usable & (np.bincount(owner, minlength=len(doubtful)) == 0)
+    keep = ~doubtful[owner]
+    owner, cells = owner[keep], cells[keep]
+    flat, weights = (a.reshape(len(batch.values), -1)[owner] for a in (batch.values, batch.weights))
+    sides = [table.minimize(cells[:, k], flat, weights) for k in (0, 1)]
+    # At a kink both sides end at the same place: the one that knows less about it counts.
+    apart = sides[0].chi_square - sides[1].chi_square
+    known = [side.matrix[:, 0, 0, 0] for side in sides]
+    first = np.where(np.abs(apart) <= 1e-9 * (1 + sides[0].chi_square), known[0] <= known[1], apart < 0)
+    best = [np.where(first.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in zip(*sides, strict=True)]
+    values = np.empty((len(owner), len(problem.numbers)))
+    values[:, 0] = problem.searched[0].from_natural(best[0])
+    values[:, list(problem.linear)] = best[1]
+    none = np.zeros(len(owner), int)
+    spectra = np.zeros((len(owner), *problem.starts.shape[1:]))
+    ends = Descent(values, spectra, best[2], best[3], np.full(len(owner), CONVERGED), none, none, ())
+    if not doubtful.any():
+        return owner, ends
+    others, more = _descents(problem, grid, batch, np.flatnonzero(doubtful), max_steps)
+    joined: list[Any] = [np.concatenate([a, b]) for a, b in zip(ends[:-1], more[:-1], strict=True)]
+    return np.concatenate([owner, others]), Descent(*joined, ())  # type: ignore[call-arg, arg-type]
+
+
+def _all_valleys(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows, and columns of their local minima that could be the lowest, at most a few of each row."""
+    outside = np.full((len(cost), 1), np.inf)
+    before, after = np.hstack([outside, cost[:, :-1]]), np.hstack([cost[:, 1:], outside])
+    room = np.maximum(np.where(np.isfinite(before), before, -np.inf), np.where(np.isfinite(after), after, -np.inf))
+    with np.errstate(invalid="ignore"):
+        room = np.maximum(room - cost, 0.0)
+        low = cost - np.where(np.isfinite(room), room, 0.0) < cost.min(axis=1, keepdims=True) + _REACH
+    row, column = np.nonzero((cost < before) & (cost <= after) & low)
+    order = np.lexsort((cost[row, column], row))
+    row, column = row[order], column[order]
+    rank = np.arange(len(row)) - np.searchsorted(row, row)
+    return row[rank < _MOST_VALLEYS], column[rank < _MOST_VALLEYS]
 
 
 def _gaps(

@@ -1,10 +1,13 @@
 """Many spectra at once: each as if it were alone."""
 
+import dataclasses
 import functools
 
+import jax
 import numpy as np
 import pytest
 
+import fitting.many
 import vcavity_jax as vc
 from fitting import Measurement, fit, fit_many, free
 
@@ -242,3 +245,83 @@ def test_other_lights_and_collected_light_are_not_mixed():
     lit = Measurement(BAND, FAN, 0 * FAN, np.full((3, 5), 0.3), np.full((3, 5), 0.01), vc.Directional(0.3))
     with pytest.raises(ValueError, match=r"measurement 1 has other"):
         fit_many(MATTE, [template(), lit], BENCH)
+
+
+@pytest.fixture
+def with_table(monkeypatch):
+    monkeypatch.setattr("fitting.many._WITH_TABLE", 1)
+
+
+@pytest.mark.parametrize(
+    "others", [[], [free.gain((1.0, 0.02))], [free.offset()], [free.gain(None), free.offset(None)]]
+)
+def test_the_table_answers_as_descents_do(with_table, monkeypatch, others):
+    """All of its parameters, a missing value, another uncertainty, each against the same fit without a table."""
+    spectra = np.delete(samples(), TRUTHS_DEG.index(88.0), axis=0)
+    spectra[2, 1, 3] = np.nan
+    sigma = np.full(spectra.shape, SIGMA)
+    sigma[1] *= 3
+    parameters = [free.angle(30, 170), *others]
+    found = many(spectra, parameters, standard_uncertainty=sigma)
+    assert (found.steps == 0).all()
+    monkeypatch.setattr("fitting.many._WITH_TABLE", 10**9)
+    wanted = many(spectra, parameters, standard_uncertainty=sigma)
+    assert (wanted.steps > 0).all()
+    np.testing.assert_array_equal(found.status, wanted.status)
+    np.testing.assert_array_equal(found.degrees_of_freedom, wanted.degrees_of_freedom)
+    np.testing.assert_allclose(found.chi_square, wanted.chi_square, rtol=1e-7)
+    for name in wanted.values:
+        np.testing.assert_allclose(found.values[name], wanted.values[name], atol=1e-6)
+        np.testing.assert_allclose(found.standard_errors[name], wanted.standard_errors[name], rtol=1e-3)
+    near = np.isfinite(wanted.next_minimum) & (wanted.next_minimum < 20)
+    np.testing.assert_allclose(found.next_minimum[near], wanted.next_minimum[near], rtol=1e-5)
+
+
+def test_at_a_kink_the_table_is_as_sure_as_the_less_sure_side(with_table):
+    spectra = samples()[[TRUTHS_DEG.index(88.0)]]
+    found = many(spectra, BENCH)
+    alone = fit(MATTE, template(spectra[0]), BENCH, tolerance=1e-8)
+    assert found.values["angle"][0] == pytest.approx(alone.estimates["angle"].value, abs=1e-6)
+    assert found.chi_square[0] == pytest.approx(alone.chi_square, rel=1e-7)
+
+
+def test_where_the_table_is_not_good_descents_answer(with_table, monkeypatch):
+    monkeypatch.setattr("fitting.many.Table.of", functools.partial(_spoiled, fitting.many.Table.of))
+    found = many(samples(), BENCH)
+    assert (found.steps > 0).all()
+    np.testing.assert_allclose(found.values["angle"], good("bench").values["angle"], atol=1e-9)
+
+
+def _spoiled(make, problem, points, factors, tolerance):
+    table = make(problem, points, factors, 1e-6)
+    assert table.good.mean() > 0.95
+    assert not make(problem, points, factors, 1e-17).good.all()
+    return dataclasses.replace(table, good=np.zeros_like(table.good))
+
+
+def test_a_plateau_has_no_angle(with_table):
+    """Black panels are black at any angle."""
+    black = vc.Scene(vc.VGrooves(2.9), vc.Lambertian(0 * RED), vc.Diffuse(), vc.View())
+    values = np.full((1, 1, len(BAND)), 1e-3)
+    found = fit_many(black, template(polar=np.zeros(1)), [free.angle(30, 170)], spectra=values)
+    assert found.status.tolist() == ["not identifiable"]
+    assert np.isnan(found.standard_errors["angle"]).all()
+
+
+def test_thousands_are_answered_from_the_table():
+    """Without a descent, and with errors that are as large as they say."""
+    random = np.random.default_rng(3)
+    angle, gain = np.radians(random.uniform(40, 100, 5000)), random.normal(1, 0.01, (5000, 1))
+
+    def spectrum(one):
+        scene = vc.Scene(vc.VGrooves(one), vc.Lambertian(RED), vc.Diffuse(), vc.View())
+        return vc.reflectance_factor(scene, 1e-9, smallest_angle=np.radians(40))
+
+    exact = gain * np.asarray(jax.jit(jax.vmap(spectrum))(angle))
+    spectra = (exact + SIGMA * random.standard_normal(exact.shape))[:, None]
+    found = fit_many(MATTE, template(polar=np.zeros(1)), [free.angle(30, 170), free.gain()], spectra=spectra)
+    assert (found.steps == 0).all()
+    assert found.converged.mean() > 0.99
+    pulls = ((found.values["angle"] - angle) / found.standard_errors["angle"])[found.converged]
+    assert np.abs(pulls).max() < 6
+    assert 0.95 < pulls.std() < 1.05
