@@ -357,7 +357,7 @@ def _answers(
         return owner, ends
     others, more = _descents(problem, grid, batch, np.flatnonzero(doubtful), max_steps)
     joined: list[Any] = [np.concatenate([a, b]) for a, b in zip(ends[:-1], more[:-1], strict=True)]
-    return np.concatenate([owner, others]), Descent(*joined, ())  # type: ignore[call-arg, arg-type]
+    return np.concatenate([owner, others]), Descent(*joined, ())  # type: ignore[call-arg]
 
 
 def _all_valleys(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -58,6 +58,15 @@ exit status: 0 every target is met; 1 not all of them; 2 bad input
 example:
   vcavity design examples/orange_fold.toml"""
 
+_CUBE_EPILOG = """\
+exit status: 0 some pixels have an answer; 1 none has; 2 bad input
+
+examples:
+  vcavity cube gold.hdr --white white.hdr --dark dark.hdr --material specular --index Au-Johnson \\
+               --free angle --free gain --uncertainty 0.004 --output gold.nc
+  vcavity cube print.hdr --white 0:8,0:40 --material lambertian --reflectance flat.csv --resample \\
+               --uncertainty 0.01 --workers 4"""
+
 _BENCH_EPILOG = """\
 example:
   vcavity bench --part mirrors --output bench"""
@@ -145,6 +154,15 @@ def parser() -> argparse.ArgumentParser:
     designed.add_argument("file", metavar="FILE", help="what is wished (TOML, see docs/design.md)")
     designed.add_argument("--output", metavar="FILE", help="write the design as JSON")
     designed.add_argument("--json", action="store_true", help="print the JSON alone")
+
+    cube = commands.add_parser(
+        "cube",
+        help="a fit in every pixel of a hyperspectral cube",
+        description="Fit every pixel of an ENVI cube; write maps of values, standard errors and status (NetCDF) "
+        "and a figure. A run that was killed goes on where it stopped. Needs the extra 'cubes'.",
+        epilog=_CUBE_EPILOG,
+    )
+    _add_cube_options(cube)
 
     bench = commands.add_parser(
         "bench",
@@ -237,6 +255,82 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
     fit.add_argument(
         "--max-steps", type=words.count, metavar="N", help="most steps of each descent to a minimum (default: 60)"
     )
+
+
+def _add_cube_options(cube: argparse.ArgumentParser) -> None:
+    cube.add_argument("cube", metavar="CUBE", help="the ENVI header (.hdr); its data file stands beside it")
+    add_scene_options(cube)
+    what = add_free_options(cube)
+    what.add_argument(
+        "--fix",
+        action="append",
+        type=words.fixed,
+        default=[],
+        metavar="NAME=VALUE",
+        help="hold a parameter: angle=45deg",
+    )
+    data = cube.add_argument_group("the cube")
+    data.add_argument(
+        "--white",
+        type=words.reference,
+        metavar="REF",
+        help="white reference: an ENVI header, or lines and samples of the cube itself: 0:8,0:40",
+    )
+    data.add_argument("--dark", type=words.reference, metavar="REF", help="dark reference, likewise")
+    data.add_argument(
+        "--white-reflectance",
+        type=words.share,
+        default=1.0,
+        metavar="R",
+        help="reflectance factor of the white reference (default: 1)",
+    )
+    data.add_argument(
+        "--reflectance-unit", choices=words.UNITS, help="unit of a cube of reflectances, without a white reference"
+    )
+    data.add_argument(
+        "--saturation", type=words.count_of_light, metavar="COUNT", help="count from which on a value is saturated"
+    )
+    data.add_argument(
+        "--band-range", type=words.positive_range, metavar="LOW:HIGH", help="use only these, nm: 400:800"
+    )
+    data.add_argument(
+        "--uncertainty",
+        type=words.positive,
+        required=True,
+        metavar="SIGMA",
+        help="standard uncertainty of every reflectance factor, as a fraction",
+    )
+    seen = cube.add_argument_group("light and view")
+    seen.add_argument(
+        "--polar", type=words.polar_angle, default=0.0, metavar="DEG", help="of the camera (default: 0)"
+    )
+    seen.add_argument(
+        "--azimuth",
+        type=words.azimuth,
+        default=0.0,
+        metavar="DEG",
+        help="of the camera: 0 across the grooves (default)",
+    )
+    seen.add_argument(
+        "--illumination",
+        type=words.illumination,
+        metavar="LIGHT",
+        help="diffuse (default), directional:POLAR,AZIMUTH or annular:POLAR in degrees",
+    )
+    output = cube.add_argument_group("output")
+    output.add_argument(
+        "--output",
+        metavar="FILE",
+        help="NetCDF file; the figure goes beside it (default: beside CUBE, <name>-fit.nc)",
+    )
+    output.add_argument(
+        "--workers",
+        type=words.count,
+        default=1,
+        metavar="N",
+        help="processes (default: 1; more need the extra 'dask')",
+    )
+    add_tolerance(cube, 1e-6)
 
 
 def add_turned(group: Any) -> None:

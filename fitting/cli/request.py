@@ -66,12 +66,12 @@ def of_options(given: argparse.Namespace) -> Request:
             measurement = measurement.select(wavelengths_nm=given.wavelengths)
         except ValueError as error:
             raise ValueError(f"{given.measurement}: --wavelengths: {error}") from None
-    held = _held(given)
+    fixed = held(given)
     names = list(dict.fromkeys(given.free)) or [words.OWN_PARAMETER[given.surface]]
     sample = scenes.of_options(
-        given, **held, free=frozenset(names), index_kind="constant" if "index" in names else None
+        given, **fixed, free=frozenset(names), index_kind="constant" if "index" in names else None
     )
-    parameters = free_parameters(given, sample, names, held)
+    parameters = free_parameters(given, sample, names, fixed)
     source = Path(given.measurement)
     return Request(
         scene=seen(sample, measurement),
@@ -98,18 +98,18 @@ def flat(made: Any) -> list[Any]:
     return list(made) if isinstance(made, tuple) else [made]
 
 
-def _held(given: argparse.Namespace) -> dict[str, float]:
+def held(given: argparse.Namespace) -> dict[str, float]:
     """The fixed parameters and their values."""
     sample = scenes.of_options(given)
-    held: dict[str, float] = {}
+    fixed: dict[str, float] = {}
     for name, value in given.fix:
         scenes.require_place(sample, name, f"--fix {name}")
-        if name in held:
+        if name in fixed:
             raise ValueError(f"--fix {name} is given twice; expected it once")
         if name in given.free:
             raise ValueError(f"{name} is in --free and in --fix; expected one of them")
-        held[name] = value
-    return held
+        fixed[name] = value
+    return fixed
 
 
 def free_parameters(

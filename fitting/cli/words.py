@@ -67,6 +67,30 @@ def length(text: str) -> float:
     return _require(value, value > 0, text, "a number of nanometers above 0")
 
 
+def count_of_light(text: str) -> float:
+    """A number above 0 that a camera counts."""
+    value = finite(text)
+    return _require(value, value > 0, text, "a number above 0")
+
+
+def reference(text: str) -> Any:
+    """A file, or a part of the cube: its lines and samples as two slices."""
+    match = re.fullmatch(r"(\d+):(\d+),(\d+):(\d+)", text.strip())
+    if match is None:
+        return text
+    top, bottom, left, right = map(int, match.groups())
+    _require(
+        0.0, top < bottom and left < right, text, "lines and samples, FIRST:LAST,FIRST:LAST, last not included"
+    )
+    return slice(top, bottom), slice(left, right)
+
+
+def polar_angle(text: str) -> float:
+    """One view angle in degrees."""
+    value = finite(text)
+    return _require(value, abs(value) < 90, text, "an angle from the normal of less than 90 degrees")
+
+
 def share(text: str) -> float:
     """A share, 0 to 1."""
     value = finite(text)

@@ -1,0 +1,8 @@
+"""Hyperspectral cubes: a fit in every pixel, in memory that does not grow with the cube (the extra "cubes")."""
+
+from fitting.cubes.envi import open_cube as open_cube
+from fitting.cubes.fit import fit_cube as fit_cube
+from fitting.cubes.fit import used_bands as used_bands
+from fitting.cubes.maps import CubeResult as CubeResult
+
+__all__ = ["CubeResult", "fit_cube", "open_cube", "used_bands"]
