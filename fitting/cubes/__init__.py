@@ -2,7 +2,8 @@
 
 from fitting.cubes.envi import open_cube as open_cube
 from fitting.cubes.fit import fit_cube as fit_cube
+from fitting.cubes.fit import local_cluster as local_cluster
 from fitting.cubes.fit import used_bands as used_bands
 from fitting.cubes.maps import CubeResult as CubeResult
 
-__all__ = ["CubeResult", "fit_cube", "open_cube", "used_bands"]
+__all__ = ["CubeResult", "fit_cube", "local_cluster", "open_cube", "used_bands"]

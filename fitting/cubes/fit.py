@@ -6,7 +6,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
@@ -244,7 +244,7 @@ def _finished(
         raise ValueError(
             "several workers need dask (pip install 'vcavity[dask]'); expected it, or one worker"
         ) from None
-    with _client(workers, client) as cluster:
+    with nullcontext(client) if client is not None else local_cluster(workers) as cluster:
         threads = set(cluster.nthreads().values())
         if threads != {1}:
             most = max(threads, default=0)
@@ -260,11 +260,12 @@ def _finished(
 
 
 @contextmanager
-def _client(workers: int, client: Any) -> Iterator[Any]:
-    """The client that was given, or a cluster on this machine for the time being."""
-    if client is not None:
-        yield client
-        return
+def local_cluster(workers: int) -> Iterator[Any]:
+    """A ``distributed.Client`` of worker processes on this machine, with one thread each.
+
+    Args:
+        workers: how many.
+    """
     from distributed import Client, LocalCluster
 
     with (

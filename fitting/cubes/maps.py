@@ -179,5 +179,5 @@ def _draw(maps: xr.Dataset) -> Figure:
         axes[1, 1].plot(
             [], [], "s", color=_COLORS[code], markeredgecolor="0.4", label=f"{STATUSES[code]}: {share:.2%}"
         )
-    axes[1, 1].legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), fontsize=8, frameon=False)
+    axes[1, 1].legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=3, fontsize=8, frameon=False)
     return figure
