@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from fitting.comparison import Comparison as Comparison
     from fitting.comparison import compare_models as compare_models
     from fitting.comparison import compare_results as compare_results
+    from fitting.cubes import fit_cube as fit_cube
     from fitting.designing import Design as Design
     from fitting.designing import design as design
     from fitting.gamut import ReachableColors as ReachableColors
@@ -65,6 +66,7 @@ _HOMES = {
     "compare_results": "fitting.comparison",
     "design": "fitting.designing",
     "fit": "fitting.solve",
+    "fit_cube": "fitting.cubes",
     "fit_many": "fitting.many",
     "plan_views": "fitting.planning",
     "profile_likelihood": "fitting.profile",
@@ -76,6 +78,7 @@ _HOMES = {
     "rivals": "fitting.rival",
     "sample_posterior": "fitting.sampling",
 }
+# fit_cube is not in __all__: it needs an extra, and "from fitting import *" shall not.
 _MODULES = ("free", "priors", "spectra", "target")
 
 __all__ = [

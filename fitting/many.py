@@ -460,12 +460,13 @@ def _table_costs(
     h = batch.values.reshape(len(batch.values), -1)
     tight, center = (np.asarray(a, np.float64) for a in (problem.data.tightness, problem.data.center))
     roles = {problem.numbers[i].role: i for i in problem.linear}
-    rr, r1, rh = w2 @ (flat**2).T, w2 @ flat.T, (w2 * h) @ flat.T
+    rr, r1 = _shared(w2, (flat**2).T), _shared(w2, flat.T)
+    rh = (w2 * h) @ flat.T
     hh, h1, one = ((w2 * x).sum(axis=1)[:, None] for x in (h * h, h, np.ones_like(h)))
     others = [i for i in range(len(problem.numbers)) if i not in problem.linear]
     logs = np.where(problem.layout.prior_of_logarithm, np.log(np.where(points > 0, points, 1.0)), points)
     prior = np.sum((tight[others] * (logs[:, others] - center[others])) ** 2, axis=1)
-    found = np.empty((*rr.shape, len(problem.linear)))
+    found = np.empty((*rh.shape, len(problem.linear)))
     if not roles:
         return hh - 2 * rh + rr + prior, found
     tg, to = (tight[roles[r]] ** 2 if r in roles else 0.0 for r in ("gain", "offset"))
@@ -489,6 +490,18 @@ def _table_costs(
     offset = np.where(flat_spectrum, 0.0, (q * a - p * b) / safe)
     found[..., 0], found[..., 1] = gain, offset
     return hh + tg * cg**2 + to * co**2 - p * gain - q * offset + prior, found
+
+
+def _shared(weights: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """A product of matrices, whose rows are mostly alike where nothing is missing: each is computed once."""
+    fullest = int(np.argmax((weights > 0).sum(axis=1)))
+    first = weights[fullest : fullest + 1]
+    if (weights == first).all():
+        return np.asarray(first @ columns)
+    other = (weights != first).any(axis=1)
+    product = np.repeat(first @ columns, len(weights), axis=0)
+    product[other] = weights[other] @ columns
+    return product
 
 
 def _own_table(
