@@ -35,6 +35,7 @@ _OF_WORKERS = {
     # Dask's own setting gives every array back to the system at once: half of the time went into page faults.
     "MALLOC_TRIM_THRESHOLD_": "536870912",
     "MALLOC_MMAP_THRESHOLD_": "33554432",
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
 }
 """The environment that a worker starts in."""
 
