@@ -6,7 +6,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from fitting import files
 from fitting.cubes.blocks import Job, work
-from fitting.cubes.envi import DIMENSIONS, open_cube
+from fitting.cubes.envi import DIMENSIONS, data_file, open_cube
 from fitting.cubes.maps import CubeResult, write_maps
 from fitting.cubes.references import References, references
 from fitting.measurement import Measurement
@@ -26,6 +26,7 @@ from fitting.measurement import Measurement
 _VALUES_AT_ONCE = 1_500_000
 """Of the cube, in a block: 12 MB as floating-point numbers, and ten times as much while they are fitted."""
 
+_LINES_TOLD = 16
 _OF_WORKERS = {
     # JAX hangs under several threads of dask, and workers that share cores hinder each other.
     "OMP_NUM_THREADS": "1",
@@ -35,6 +36,7 @@ _OF_WORKERS = {
     # Dask's own setting gives every array back to the system at once: half of the time went into page faults.
     "MALLOC_TRIM_THRESHOLD_": "536870912",
     "MALLOC_MMAP_THRESHOLD_": "33554432",
+    "MALLOC_ARENA_MAX": "1",
     "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
 }
 """The environment that a worker starts in."""
@@ -124,9 +126,12 @@ def fit_cube(
         unit_scale=True,
         disable=not progress,
     ) as bar:
-        for block, maps in _finished(job, todo, workers, client):
-            kept.store(block, maps)
-            bar.update(samples * (block[1] - block[0]))
+        try:
+            for block, maps in _finished(job, todo, workers, client):
+                kept.store(block, maps)
+                bar.update(samples * (block[1] - block[0]))
+        finally:
+            kept.remove_if_empty()
     write_maps(target, job, blocks, kept.load)
     kept.remove()
     return CubeResult(target)
@@ -201,14 +206,13 @@ def _job(
 
 
 def _stamp(array: xr.DataArray) -> Any:
-    """What tells one cube from another: of a file its size and date, of other arrays a line."""
-    source = array.attrs.get("source")
-    if source is not None and Path(source).exists():
-        from fitting.cubes.envi import data_file
-
+    """What tells one cube from another: of a file its size and date, of other arrays some of their lines."""
+    source = str(array.attrs.get("source", ""))
+    with suppress(OSError, ValueError):
         stat = data_file(source, Path(source)).stat()
         return stat.st_size, stat.st_mtime_ns
-    return hashlib.sha256(array.isel(line=slice(0, 1)).values.tobytes()).hexdigest()
+    step = -(-array.sizes["line"] // _LINES_TOLD)
+    return hashlib.sha256(array.isel(line=slice(None, None, step)).values.tobytes()).hexdigest()
 
 
 def _template(scene: Any, waves: np.ndarray, sigma: np.ndarray) -> Measurement:
@@ -243,7 +247,7 @@ def _finished(
             yield block, job.run(*block)
         return
     try:
-        from distributed import as_completed
+        from distributed import KilledWorker, as_completed
         from distributed.protocol.pickle import dumps
     except ImportError:
         raise ValueError(
@@ -259,7 +263,13 @@ def _finished(
         double = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
         futures = [cluster.submit(work, job.identity, packed, *block, double, pure=False) for block in blocks]
         for future in as_completed(futures):
-            first, maps = future.result()
+            try:
+                first, maps = future.result()
+            except KilledWorker as error:
+                raise OSError(
+                    f"a worker died ({error.last_worker}); expected more memory or fewer workers; what is done is "
+                    "kept"
+                ) from None
             future.release()
             yield of_first[first], maps
 
@@ -291,12 +301,13 @@ class _Kept:
 
     def __init__(self, folder: Path, identity: str, blocks: Sequence[tuple[int, int]]) -> None:
         self.folder = folder
-        note = folder / "job.json"
         if folder.exists():
             try:
-                known = json.loads(note.read_text(encoding="utf-8"))
+                known = json.loads((folder / "job.json").read_text(encoding="utf-8"))
             except (OSError, ValueError):
                 known = {}
+            if not known and not any(folder.glob("lines-*.npz")):
+                known = self._note(identity, len(blocks))
             if known.get("identity") != identity:
                 raise ValueError(
                     f"{folder}: holds an unfinished fit of something else; expected another output, or this "
@@ -304,7 +315,12 @@ class _Kept:
                 )
         else:
             folder.mkdir(parents=True)
-            files.write_json(note, {"identity": identity, "blocks": len(blocks)})
+            self._note(identity, len(blocks))
+
+    def _note(self, identity: str, count: int) -> dict[str, Any]:
+        known: dict[str, Any] = {"identity": identity, "blocks": count}
+        files.write_json(self.folder / "job.json", known)
+        return known
 
     def _path(self, block: tuple[int, int]) -> Path:
         return self.folder / f"lines-{block[0]:07d}-{block[1]:07d}.npz"
@@ -327,3 +343,8 @@ class _Kept:
     def remove(self) -> None:
         """All of it."""
         shutil.rmtree(self.folder)
+
+    def remove_if_empty(self) -> None:
+        """What a fit leaves that failed before its first block was done."""
+        if not any(self.folder.glob("lines-*.npz")):
+            self.remove()

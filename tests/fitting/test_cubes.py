@@ -17,6 +17,7 @@ from fitting import Measurement, fit, fit_many, free
 from fitting.cli import main
 from fitting.cubes import CubeResult, fit_cube, open_cube
 from fitting.cubes.blocks import STATUSES
+from fitting.cubes.fit import _stamp as stamp
 
 WAVES = np.arange(420.0, 701.0, 40.0)
 GOLD = vc.materials.refractive_index("Au-Johnson", WAVES)
@@ -278,7 +279,7 @@ def test_bad_references_are_named(camera, cube: Path, tmp_path: Path) -> None:
     assert "these look like percent or counts" in refusal(counts, FREE, output, reflectance_unit="fraction")
     narrow = saved(tmp_path / "narrow.hdr", np.ones((1, 4, WAVES.size), np.float32))
     assert "4 samples and 8 bands; expected 10 and 8" in refusal(counts, FREE, output, white=narrow)
-    assert not output.exists()
+    assert not list(tmp_path.glob("out.nc*"))
 
 
 def test_bad_requests_are_named(cube: Path, tmp_path: Path) -> None:
@@ -315,6 +316,26 @@ def test_an_unfinished_fit_of_something_else_is_not_taken(cube: Path, tmp_path: 
     assert "holds an unfinished fit of something else" in refusal(cube, FREE, output, standard_uncertainty=0.01)
     monkeypatch.setattr("fitting.cubes.blocks.Job.run", stop)  # Nothing is left to be fitted.
     assert (run(cube, output)["status"] == 0).all()
+
+
+def test_a_folder_that_a_kill_left_empty_is_taken(cube: Path, tmp_path: Path) -> None:
+    (tmp_path / "out.nc.part").mkdir()
+    assert (run(cube, tmp_path / "out.nc")["status"] == 0).all()
+    assert not (tmp_path / "out.nc.part").exists()
+
+
+def test_other_arrays_are_told_apart(cube: Path, factors: np.ndarray) -> None:
+    """By their lines, whatever their attribute "source" says."""
+    array = xr.DataArray(factors, dims=("line", "sample", "wavelength"), coords={"wavelength": WAVES})
+    known = stamp(array)
+    assert known == stamp(array.assign_attrs(source=str(cube.parent / "a.nc")))
+    changed = array.copy()
+    changed[7, 3, 2] += 0.1
+    assert stamp(changed) != known
+    assert stamp(open_cube(cube)) == (
+        cube.with_suffix(".raw").stat().st_size,
+        cube.with_suffix(".raw").stat().st_mtime_ns,
+    )
 
 
 SCRIPT = """
