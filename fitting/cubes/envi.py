@@ -178,7 +178,7 @@ def _whole(name: str, stated: dict[str, Any], key: str, default: int | None = No
     if key not in stated and default is not None:
         return default
     text = str(stated.get(key, "")).strip()
-    if not text.isdigit() or len(text) > 12 or (default is None and int(text) == 0):
+    if not (text.isascii() and text.isdigit()) or len(text) > 12 or (default is None and int(text) == 0):
         raise ValueError(f"{name}: {key} is {quoted(text)}; expected a whole number")
     return int(text)
 

@@ -125,7 +125,7 @@ def _cells(line: str, tabs: bool) -> list[str]:
 
 def _declared(path: str, keywords: dict[str, str]) -> int | None:
     stated = keywords.get("NUMBER_OF_SETS", "").strip()
-    return int(stated) if stated.isdigit() and len(stated) < 10 else None
+    return int(stated) if re.fullmatch(r"[0-9]{1,9}", stated) else None
 
 
 def _check_rows(path: str, line: int, table: _Table) -> None:
@@ -214,6 +214,8 @@ def _axis(path: str, table: _Table, keywords: dict[str, str]) -> tuple[list[int]
     norm = number(keywords.get("SPECTRAL_NORM", "").replace(",", "."))
     unit = {1.0: "fraction", 100.0: "percent"}.get(norm or 0.0)
     unit = keywords.get("REFLECTANCE_UNIT", unit)
+    if unit not in (None, *_UNITS.values()):
+        raise ValueError(f"{path}:1: REFLECTANCE_UNIT is {quoted(unit)}; expected fraction or percent")
     if "SPECTRAL_NM" in table.fields:
         pairs = [k for k, name in enumerate(table.fields) if name == "SPECTRAL_NM"]
         kinds = {name.removeprefix("SPECTRAL_") for k in pairs for name in table.fields[k + 1 : k + 2]}

@@ -426,6 +426,10 @@ def test_the_command(cube: Path, camera, tmp_path: Path, capsys: pytest.CaptureF
         err = capsys.readouterr().err
         assert said in err
         assert err.count("\n") == 1
+    assert main(["cube", counts, *mirror]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"vcavity: {counts}: counts or reflectances? expected --white (and --dark), ")
+    assert said.endswith("or --reflectance-unit fraction or percent\n")
     assert main(["cube", str(cube), "--material", "specular", "--index", "Au-Johnson"]) == 2
     assert "--uncertainty" in capsys.readouterr().err
     os.remove(cube)

@@ -411,6 +411,51 @@ def test_hostile_xml(file, text: str, said: str) -> None:
     assert said in refusal(file(text))
 
 
+SOUND = {
+    "CGATS": CGATS.format(head=DECLARED + '\nREFLECTANCE_UNIT "fraction"\nSPECTRAL_BANDS 3'),
+    "CxF3": CXF.format(start=400, choice=RING.format("Annular")),
+    "JCAMP-DX": JCAMP.format(x="NANOMETERS", y="REFLECTANCE", factor=0.01),
+    "TM-27": TM27.format(quantity="reflectance", geometry="di:8"),
+}
+
+
+@pytest.mark.parametrize("kind", SOUND)
+def test_damaged_files_end_in_one_line(tmp_path: Path, kind: str) -> None:
+    """Bytes changed, left out, doubled, moved: a measurement or one line that names the file, nothing else."""
+    random = np.random.default_rng(8)
+    whole = SOUND[kind].encode()
+    ended = {"read": 0, "refused": 0}
+    for trial in range(40 if kind == "TM-27" else 300):
+        data = bytearray(whole)
+        for _ in range(random.integers(1, 4)):
+            at, width = int(random.integers(len(data))), int(random.integers(1, 12))
+            change = random.integers(5)
+            if change == 0:
+                data[at] = int(random.integers(256))
+            elif change == 1:
+                del data[at : at + width]
+            elif change == 2:
+                data[at:at] = data[at : at + width]
+            elif change == 3:
+                data[at : at + width] = random.choice(
+                    ["9" * 30, "1e999", "-", "nan", '"', "0x1F", "1,5", "²"]
+                ).encode()
+            else:
+                data = data[: max(at, 1)]
+        path = tmp_path / f"{trial}.txt"
+        path.write_bytes(bytes(data))
+        try:
+            column = {"CGATS": "gold", "CxF3": "red"}.get(kind)
+            Measurement.read(path, column=column, geometry="d:0" if kind == "JCAMP-DX" else None)
+            ended["read"] += 1
+        except ValueError as error:
+            assert str(path) in str(error), str(error)
+            assert "\n" not in str(error)
+            ended["refused"] += 1
+    assert ended["refused"] > 0
+    assert ended["read"] > 0 or kind == "TM-27"
+
+
 def test_a_gigabyte_of_digits(tmp_path: Path) -> None:
     """Of no format, in one line, without being read; and smaller ones that are."""
     for head, name in (
@@ -512,6 +557,10 @@ def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     argv = ["fit", str(bare), *mirror, "--uncertainty", "0.01", "--column", "gold"]
     assert main(argv) == 2
     assert "expected --geometry with one of them" in capsys.readouterr().err
+    bare.write_text(CGATS.format(head='GEOMETRY "d:0"'))
+    assert main(argv) == 2
+    assert "are fractions or percent; expected --reflectance-unit fraction or percent\n" in capsys.readouterr().err
+    bare.write_text(CGATS.format(head="SPECTRAL_NORM 1"))
     assert main([*argv, "--geometry-azimuth", "90"]) == 2
     assert "--geometry-azimuth has no effect: expected --geometry d:8" in capsys.readouterr().err
     assert main([*argv, "--geometry", "di:8", "--geometry-azimuth", "90"]) in (0, 1)
