@@ -16,8 +16,10 @@ from fitting.problem import GRID_STEPS, INNER_STEPS, Descent, Problem, fraction_
 from fitting.table import Table
 
 _SPECTRA_AT_ONCE = 256
-_WITH_TABLE = 1024
-"""Spectra for which a verified table is worth its making, and how many are answered from it at once."""
+_WITH_TABLE = 4096
+"""So many spectra are worth the making of a verified table."""
+
+_FROM_TABLE_AT_ONCE = 1024
 
 _STEPS = 60
 _MOST_VALLEYS = 5
@@ -107,7 +109,7 @@ def fit_many(
 
     The search is that of ``fit``: a table over the whole allowed range, its best valleys, a descent from each.
     The table does not depend on the spectra if only gain and offset are free beside what is searched, and is made
-    once; of a thousand spectra and more it then also holds what lies between its points, verified to
+    once; of 4096 spectra and more it then also holds what lies between its points, verified to
     ``tolerance``, and takes the place of the descents. There are no profiles: intervals, kinks and warnings are
     ``fit``'s.
 
@@ -171,7 +173,7 @@ class ManyProblem:
 
     def columns(self, values: np.ndarray, sigma: np.ndarray, max_steps: int) -> list[np.ndarray]:
         """Columns of the result for some spectra, in the order of ``_fit_batch``."""
-        at_once = _SPECTRA_AT_ONCE if self.grid.table is None else _WITH_TABLE
+        at_once = _SPECTRA_AT_ONCE if self.grid.table is None else _FROM_TABLE_AT_ONCE
         parts = [slice(first, first + at_once) for first in range(0, len(values), at_once)]
         rows = [_fit_batch(self.problem, self.grid, values[some], sigma[some], max_steps) for some in parts]
         return [np.concatenate(column) for column in zip(*rows, strict=True)]
