@@ -215,7 +215,7 @@ def _axis(path: str, table: _Table, keywords: dict[str, str]) -> tuple[list[int]
     unit = {1.0: "fraction", 100.0: "percent"}.get(norm or 0.0)
     unit = keywords.get("REFLECTANCE_UNIT", unit)
     if unit not in (None, *_UNITS.values()):
-        raise ValueError(f"{path}:1: REFLECTANCE_UNIT is {quoted(unit)}; expected fraction or percent")
+        raise ValueError(f"{path}:1: REFLECTANCE_UNIT is {quoted(str(unit))}; expected fraction or percent")
     if "SPECTRAL_NM" in table.fields:
         pairs = [k for k, name in enumerate(table.fields) if name == "SPECTRAL_NM"]
         kinds = {name.removeprefix("SPECTRAL_") for k in pairs for name in table.fields[k + 1 : k + 2]}
