@@ -225,7 +225,7 @@ def _add_fit_options(fit: argparse.ArgumentParser) -> None:
     data.add_argument(
         "--geometry", choices=GEOMETRIES, help="light and view of a MEASUREMENT that does not state them"
     )
-    add_turned(data)
+    _add_turned(data)
     sampled = fit.add_argument_group("the posterior")
     sampled.add_argument(
         "--posterior",
@@ -311,12 +311,7 @@ def _add_cube_options(cube: argparse.ArgumentParser) -> None:
         metavar="DEG",
         help="of the camera: 0 across the grooves (default)",
     )
-    seen.add_argument(
-        "--illumination",
-        type=words.illumination,
-        metavar="LIGHT",
-        help="diffuse (default), directional:POLAR,AZIMUTH or annular:POLAR in degrees",
-    )
+    _add_illumination(seen)
     output = cube.add_argument_group("output")
     output.add_argument(
         "--output",
@@ -333,7 +328,17 @@ def _add_cube_options(cube: argparse.ArgumentParser) -> None:
     add_tolerance(cube, 1e-6)
 
 
-def add_turned(group: Any) -> None:
+def _add_illumination(group: Any) -> None:
+    """The light."""
+    group.add_argument(
+        "--illumination",
+        type=words.illumination,
+        metavar="LIGHT",
+        help="diffuse (default), directional:POLAR,AZIMUTH or annular:POLAR in degrees",
+    )
+
+
+def _add_turned(group: Any) -> None:
     """How the sample lies in an instrument, and its gloss trap."""
     group.add_argument(
         "--geometry-azimuth",
@@ -360,18 +365,13 @@ def _add_predict_options(predict: argparse.ArgumentParser) -> None:
         metavar="DEG",
         help="view azimuths, each with each view angle: 0 across the grooves, 90 along them (default: 0)",
     )
-    seen.add_argument(
-        "--illumination",
-        type=words.illumination,
-        metavar="LIGHT",
-        help="diffuse (default), directional:POLAR,AZIMUTH or annular:POLAR in degrees",
-    )
+    _add_illumination(seen)
     seen.add_argument(
         "--geometry",
         choices=GEOMETRIES,
         help="light and view of an instrument by their name, instead of the options above",
     )
-    add_turned(seen)
+    _add_turned(seen)
     predict.add_argument("--output", metavar="FILE", help="write here instead of to standard output")
     add_tolerance(predict)
 
@@ -386,12 +386,7 @@ def _add_map_options(chart: argparse.ArgumentParser) -> None:
         metavar="NM",
         help="equally spaced (default: %(default)s)",
     )
-    chart.add_argument(
-        "--illumination",
-        type=words.illumination,
-        metavar="LIGHT",
-        help="diffuse (default), directional:POLAR,AZIMUTH or annular:POLAR in degrees",
-    )
+    _add_illumination(chart)
     chart.add_argument(
         "--size",
         type=words.pixels,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import vcavity_jax as vc
-from fitting.cli import request, scenes, words
+from fitting.cli import request, scenes
 from fitting.cli.fit import require_writable
 
 
@@ -29,12 +29,7 @@ def run(given: argparse.Namespace) -> int:
     except ValueError as error:
         raise ValueError(f"{given.cube}: --band-range: {error}") from None
     wavelengths = np.asarray(cube.coords["wavelength"].values, np.float64)[used]
-    held = request.held(given)
-    names = list(dict.fromkeys(given.free)) or [words.OWN_PARAMETER[given.surface]]
-    sample = scenes.of_options(
-        given, **held, free=frozenset(names), index_kind="constant" if "index" in names else None
-    )
-    parameters = request.free_parameters(given, sample, names, held)
+    sample, parameters = request.sample_and_parameters(given)
     angles: Any = np.deg2rad([given.polar, given.azimuth])
     scene = vc.Scene(
         scenes.surface(sample),

@@ -66,12 +66,7 @@ def of_options(given: argparse.Namespace) -> Request:
             measurement = measurement.select(wavelengths_nm=given.wavelengths)
         except ValueError as error:
             raise ValueError(f"{given.measurement}: --wavelengths: {error}") from None
-    fixed = held(given)
-    names = list(dict.fromkeys(given.free)) or [words.OWN_PARAMETER[given.surface]]
-    sample = scenes.of_options(
-        given, **fixed, free=frozenset(names), index_kind="constant" if "index" in names else None
-    )
-    parameters = free_parameters(given, sample, names, fixed)
+    sample, parameters = sample_and_parameters(given)
     source = Path(given.measurement)
     return Request(
         scene=seen(sample, measurement),
@@ -98,7 +93,17 @@ def flat(made: Any) -> list[Any]:
     return list(made) if isinstance(made, tuple) else [made]
 
 
-def held(given: argparse.Namespace) -> dict[str, float]:
+def sample_and_parameters(given: argparse.Namespace) -> tuple[scenes.Sample, list[Any]]:
+    """What is fitted, with what --fix holds, and what is free."""
+    fixed = _held(given)
+    names = list(dict.fromkeys(given.free)) or [words.OWN_PARAMETER[given.surface]]
+    sample = scenes.of_options(
+        given, **fixed, free=frozenset(names), index_kind="constant" if "index" in names else None
+    )
+    return sample, free_parameters(given, sample, names, fixed)
+
+
+def _held(given: argparse.Namespace) -> dict[str, float]:
     """The fixed parameters and their values."""
     sample = scenes.of_options(given)
     fixed: dict[str, float] = {}

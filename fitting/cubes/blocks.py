@@ -11,14 +11,13 @@ from fitting.assembly import build
 from fitting.cubes.references import References
 from fitting.many import ManyProblem
 from fitting.measurement import Measurement
+from fitting.readers.contents import LOOKS_LIKE_PERCENT
 
 STATUSES = (
     *("converged", "not converged", "no number", "not identifiable", "at bound"),
     *("no value", "bad value", "saturated", "dead"),
 )
 """What a pixel's number in the map of the status stands for; the last two have no band left, and why."""
-
-_LOOKS_LIKE_PERCENT = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +55,7 @@ class Job:
         """
         values, saturated, dead = self.references.apply(self.cube.isel(line=slice(first, last)).values)
         shape = values.shape[:2]
-        if np.isfinite(values).any() and np.nanmedian(values) > _LOOKS_LIKE_PERCENT:
+        if np.isfinite(values).any() and np.nanmedian(values) > LOOKS_LIKE_PERCENT:
             raise ValueError(
                 f"{self.cube.attrs.get('source', 'the cube')}: the median of lines {first} to {last} is "
                 f"{np.nanmedian(values):g}; these look like percent or counts: expected a white reference or "

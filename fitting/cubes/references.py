@@ -8,12 +8,12 @@ import numpy as np
 import xarray as xr
 
 from fitting.cubes.envi import open_cube
+from fitting.readers.contents import LOOKS_LIKE_PERCENT
 
 Region = tuple[slice, slice]
 """Lines and samples of the cube itself."""
 
 _LINES_AT_ONCE = 64
-_LOOKS_LIKE_PERCENT = 3.0
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def references(
     """
     bands = cube.sizes["wavelength"]
     whiteness = np.asarray(white_reflectance, np.float64)
-    if whiteness.shape not in ((), (bands,)) or not ((whiteness > 0) & (whiteness < _LOOKS_LIKE_PERCENT)).all():
+    if whiteness.shape not in ((), (bands,)) or not ((whiteness > 0) & (whiteness < LOOKS_LIKE_PERCENT)).all():
         raise ValueError(
             f"white_reflectance: expected one fraction above 0, or {bands} of them, one for each band"
         )
