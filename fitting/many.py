@@ -388,11 +388,14 @@ def _gaps(
     )
     place = problem.numbers[0].natural(values[:, 0])
     gaps = np.full(len(best), np.inf)
-    position = {int(owner[b]): i for i, b in enumerate(best)}
-    for k in np.flatnonzero(np.isfinite(cost)):
-        i = position.get(int(owner[k]))
-        if i is not None and abs(place[k] - place[best[i]]) > apart:
-            gaps[i] = min(gaps[i], cost[k] - cost[best[i]])
+    if not len(best):
+        return gaps
+    position = np.full(owner.max() + 1, -1)
+    position[owner[best]] = np.arange(len(best))
+    mine = position[owner]
+    chosen = best[mine]
+    other = np.isfinite(cost) & (mine >= 0) & (np.abs(place - place[chosen]) > apart)
+    np.minimum.at(gaps, mine[other], (cost - cost[chosen])[other])
     return gaps
 
 

@@ -1,4 +1,4 @@
-"""Maps of what was found in a cube: a NetCDF file, a summary and a figure."""
+"""Maps of what was found in a cube: a NetCDF file, and its summary."""
 
 import secrets
 from collections.abc import Callable, Sequence
@@ -8,19 +8,11 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import BoundaryNorm, ListedColormap
-from matplotlib.figure import Figure
 
 from fitting.cubes.blocks import STATUSES, Job
-from fitting.plots import write_figure
-
-_MOST_PIXELS = 1000
-"""Along an edge of the figure's maps; larger ones are thinned."""
 
 _MISFIT = 2.0
 _UNITS = {"rad": "degree", "nm": "nm", "1": "1"}
-_COLORS = ("#d9d9d9", "#e69f00", "#cc79a7", "#0072b2", "#009e73", "#f0e442", "#d55e00", "#56b4e9", "#000000")
 
 
 class CubeResult:
@@ -74,8 +66,12 @@ class CubeResult:
         Args:
             path: the file; its ending, .png, .pdf or .svg, decides the format.
         """
+        # Workers need no matplotlib.
+        from fitting.cubes.figure import draw
+        from fitting.plots import write_figure
+
         with self.open() as maps:
-            write_figure(lambda: _draw(maps), path, dpi=150)
+            write_figure(lambda: draw(maps), path, dpi=150)
 
 
 def write_maps(
@@ -131,53 +127,3 @@ def _attributes(name: str, units: dict[str, str]) -> dict[str, Any]:
     if name in ("missing_bands", "degrees_of_freedom", "chi_square", "next_minimum"):
         return {"units": "1"}
     return {"units": _UNITS[units.get(name.removesuffix("_standard_error"), "1")]}
-
-
-def _draw(maps: xr.Dataset) -> Figure:
-    name = maps.attrs["free"].split()[0]
-    called = name
-    if maps[name].ndim > 2:  # A spectrum is shown where its middle is.
-        maps = maps.isel(wavelength=maps.sizes["wavelength"] // 2)
-        called = f"{name} at {float(maps['wavelength']):g} nm"
-    lines, samples = maps["status"].shape
-    step = {
-        "line": slice(None, None, -(-lines // _MOST_PIXELS)),
-        "sample": slice(None, None, -(-samples // _MOST_PIXELS)),
-    }
-    thin = maps[[name, f"{name}_standard_error", "status"]].isel(step).load()
-    good = thin["status"].values == 0
-    unit = {"degree": " (°)", "1": ""}.get(maps[name].attrs["units"], f" ({maps[name].attrs['units']})")
-    figure = Figure(figsize=(10, 7.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(2, 2)
-    extent = (-0.5, samples - 0.5, lines - 0.5, -0.5)
-    for axis, key, title in (
-        (axes[0, 0], name, f"{called}{unit}"),
-        (axes[0, 1], f"{name}_standard_error", f"standard error of {called}{unit}"),
-    ):
-        values = np.where(good, thin[key].values, np.nan)
-        limits = np.nanpercentile(values, [1, 99]) if np.isfinite(values).any() else (0.0, 1.0)
-        image = axis.imshow(values, extent=extent, vmin=limits[0], vmax=limits[1], cmap="viridis", aspect="equal")
-        axis.set_facecolor("0.85")
-        axis.set(title=title, xlabel="sample", ylabel="line")
-        figure.colorbar(image, ax=axis, extend="both", shrink=0.85)
-    values = thin[name].values[good]
-    axes[1, 0].hist(values, bins=80, color="#0072b2") if values.size else None
-    axes[1, 0].set(title=f"{values.size} pixels with an answer", xlabel=f"{called}{unit}", ylabel="pixels")
-    status = thin["status"].values
-    axes[1, 1].imshow(
-        status,
-        extent=extent,
-        cmap=ListedColormap(_COLORS[: len(STATUSES)]),
-        norm=BoundaryNorm(np.arange(len(STATUSES) + 1) - 0.5, len(STATUSES)),
-        interpolation="nearest",
-        aspect="equal",
-    )
-    axes[1, 1].set(title="how the fits ended", xlabel="sample", ylabel="line")
-    for code in np.unique(status):
-        share = np.mean(status == code)
-        axes[1, 1].plot(
-            [], [], "s", color=_COLORS[code], markeredgecolor="0.4", label=f"{STATUSES[code]}: {share:.2%}"
-        )
-    axes[1, 1].legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=3, fontsize=8, frameon=False)
-    return figure
