@@ -102,7 +102,7 @@ class Row:
         memory_kib: of a batch, beyond arguments and results.
         error: the largest absolute one of values; for a gradient, of the derivative by geometry.
         success: share of the scenes within the tolerance and finite.
-        of_peak: see ``Peak.fraction``; None for peers and single precision.
+        of_peak: see ``Peak.fraction``; None for peers, single precision and scenes that take a loop of their own.
     """
 
     part: str
@@ -215,7 +215,7 @@ def _value(
         _memory(program),
         float(np.nanmax(errors)),
         float(np.mean(errors <= allowed)),
-        None if peak is None else peak.fraction(program, _counted(batch, quantity.together), seconds),
+        _of_peak(peak, program, batch, quantity.together, seconds),
     )
 
 
@@ -261,7 +261,7 @@ def _gradient(quantity: Quantity, tolerance: float, batch: int, effort: Effort, 
         _memory(program),
         float(np.median(errors)),  # A difference across a kink is no derivative.
         float(finite),
-        peak.fraction(program, _counted(batch, quantity.together), seconds),
+        _of_peak(peak, program, batch, quantity.together, seconds),
     )
 
 
@@ -299,7 +299,16 @@ def _peer(quantity: Quantity, peer: Peer, checked: Real, reference: Real) -> Row
 def _batched(function: Callable[[Array], Any], batch: int, together: int) -> Callable[[Array], Any]:
     if batch == 1:
         return lambda values: jax.tree.map(lambda leaf: leaf[None], function(values[0]))
-    return lambda values: jax.lax.map(function, values, batch_size=min(batch, together))
+    # One by one without vmap, which makes loops over directions slower.
+    batch_size = None if together == 1 else min(batch, together)
+    return lambda values: jax.lax.map(function, values, batch_size=batch_size)
+
+
+def _of_peak(peak: Peak | None, program: Any, batch: int, together: int, seconds: float) -> float | None:
+    """None where each scene loops over directions or grooves: XLA counts one pass of such a loop, or some."""
+    if peak is None or together == 1:
+        return None
+    return peak.fraction(program, _counted(batch, together), seconds)
 
 
 def _counted(batch: int, together: int) -> int:

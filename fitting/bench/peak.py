@@ -19,17 +19,16 @@ class Peak:
     Args:
         operations: additions and multiplications in a second, the better of a chain of them and a matrix product.
         transcendentals: logarithms in a second, summed.
-        bytes: copied in a second, read and written, of arrays of 8 MB.
     """
 
     operations: float
     transcendentals: float
-    bytes: float
 
     def fraction(self, program: Any, scenes: int, seconds: float) -> float:
-        """The time that a program's arithmetic or traffic needs at these rates, whichever is longer, over its own.
+        """The time that a program's arithmetic needs at these rates, over its own.
 
-        XLA counts what a program does; of a loop, one pass.
+        XLA counts what a program does; of a loop, one pass. Its count of memory traffic is left aside: it takes
+        arrays in full of which a program reads a slice, and cannot tell what a cache holds.
 
         Args:
             program: compiled.
@@ -39,13 +38,13 @@ class Peak:
         counted = program.cost_analysis() or {}
         arithmetic = counted.get("flops", 0.0) / self.operations
         arithmetic += counted.get("transcendentals", 0.0) / self.transcendentals
-        return max(arithmetic, counted.get("bytes accessed", 0.0) / self.bytes) / scenes / seconds
+        return arithmetic / scenes / seconds
 
     def __str__(self) -> str:
         """For the description of the machine."""
         return (
             f"{self.operations / 1e9:.3g} G additions and multiplications, {self.transcendentals / 1e9:.2g} G "
-            f"logarithms, {self.bytes / 1e9:.3g} GB in a second"
+            "logarithms in a second"
         )
 
 
@@ -72,5 +71,4 @@ def measure_peak(device: Any = None) -> Peak:
             rate(lambda x: x @ x.T, 2.0 * side * _LONG, side, -1),
         ),
         rate(logarithms, float(_LONG), 16, -1),
-        rate(lambda x: x[::-1], 16.0 * _LONG, _LONG),
     )

@@ -88,8 +88,8 @@ def markdown(found: Sequence[Row], machine: dict[str, str]) -> str:
         "Times are medians per spectrum of 36 wavelengths, without compilation. Errors are the largest absolute",
         "ones over random scenes; of path tracers, root mean squares; of a gradient, the median of the relative",
         "error of the derivative by the angle or the roughness. Of peak: the time that the arithmetic (as XLA",
-        "counts it; of a loop, one pass) or the traffic takes at best, over the time. Slower by: than ours at an",
-        "error not larger.",
+        "counts it; of a loop, one pass) takes at best, over the time. Slower by: than ours at an error not",
+        "larger.",
         "",
         "| part | quantity | method | device | tolerance | what | scenes | compile (s) | time (µs) | memory (KiB) "
         "| error | success | of peak | slower by |",

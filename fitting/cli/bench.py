@@ -4,6 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
+import jax
+
 from fitting.bench import report
 from fitting.bench.measure import FULL, Effort
 from fitting.cli.fit import require_writable
@@ -13,6 +15,7 @@ def run(given: argparse.Namespace) -> int:
     """Measure, print the table and write what was found; each row is told on standard error as it comes."""
     if given.output is not None:
         require_writable(Path(given.output).parent)
+    jax.config.update("jax_enable_compilation_cache", False)  # compiling is measured, too
     machines, machine = report.find_machines()
     parts = tuple(dict.fromkeys(given.part or report.PARTS))
     found = report.run(
